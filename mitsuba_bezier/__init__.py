@@ -1,0 +1,1 @@
+"""Exact rational Bézier triangles for Mitsuba 3."""

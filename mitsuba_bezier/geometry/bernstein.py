@@ -1,0 +1,237 @@
+"""Bernstein polynomials on the triangle: index order, basis, blossoms, change of basis.
+
+Conventions (``docs/conventions.md``): barycentric coordinates ``U = (u, v, w)`` with
+``w = 1 - u - v``, ``B_ijk = n!/(i! j! k!) u^i v^j w^k``, and the rows of a net run over
+``(i, j, k)`` with ``i`` falling, then ``j`` falling. All arrays are float64.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb, factorial, isqrt
+
+import numpy as np
+
+from ..errors import NetError
+
+__all__ = [
+    "basis",
+    "corner_rows",
+    "degree_of",
+    "elevation_matrix",
+    "monomial_matrix",
+    "multi_indices",
+    "partials_matrices",
+    "permutation",
+    "row",
+    "size",
+    "split_matrices",
+    "subdivision_matrix",
+]
+
+
+def size(n: int) -> int:
+    """Return the number ``K = (n+1)(n+2)/2`` of control points of degree `n`."""
+    return (n + 1) * (n + 2) // 2
+
+
+def degree_of(count: int, parameter: str = "control_points") -> int:
+    """Return the degree of a net with `count` control points.
+
+    Raises
+    ------
+    NetError
+        If `count` is no triangular number ``(n+1)(n+2)/2`` with ``n >= 1``.
+    """
+    n = (isqrt(8 * count + 1) - 3) // 2 if count > 0 else 0
+    if n < 1 or size(n) != count:
+        raise NetError.expected(
+            parameter,
+            "K = (n+1)(n+2)/2 control points a patch for a degree n >= 1 (3, 6, 10, 15, ...)",
+            f"K = {count}",
+        )
+    return n
+
+
+@cache
+def multi_indices(n: int) -> np.ndarray:
+    """Return the ``(K, 3)`` multi-indices ``(i, j, k)`` in net order."""
+    out = np.array([(i, j, n - i - j) for i in range(n, -1, -1) for j in range(n - i, -1, -1)])
+    out.setflags(write=False)
+    return out
+
+
+def row(n: int, i: int, j: int) -> int:
+    """Return the row of control point ``(i, j, n - i - j)``."""
+    level = n - i
+    return level * (level + 1) // 2 + (level - j)
+
+
+def corner_rows(n: int) -> tuple[int, int, int]:
+    """Return the rows of the corners ``(n,0,0)``, ``(0,n,0)``, ``(0,0,n)``."""
+    return 0, size(n) - n - 1, size(n) - 1
+
+
+@cache
+def _multinomials(n: int) -> np.ndarray:
+    return np.array(
+        [
+            factorial(n) // (factorial(i) * factorial(j) * factorial(k))
+            for i, j, k in multi_indices(n)
+        ],
+        dtype=np.float64,
+    )
+
+
+def basis(n: int, uv: np.ndarray) -> np.ndarray:
+    """Evaluate all Bernstein polynomials of degree `n`.
+
+    Parameters
+    ----------
+    n : int
+        Degree, at least 0.
+    uv : (..., 2) array
+        Barycentric coordinates ``(u, v)``.
+
+    Returns
+    -------
+    (..., K) array
+    """
+    uv = np.asarray(uv, dtype=np.float64)
+    uvw = np.stack([uv[..., 0], uv[..., 1], 1.0 - uv[..., 0] - uv[..., 1]], axis=-1)
+    powers = np.ones((*uvw.shape, n + 1))
+    for e in range(1, n + 1):
+        powers[..., e] = powers[..., e - 1] * uvw
+    ijk = multi_indices(n)
+    return (
+        _multinomials(n)
+        * powers[..., 0, ijk[:, 0]]
+        * powers[..., 1, ijk[:, 1]]
+        * powers[..., 2, ijk[:, 2]]
+    )
+
+
+@cache
+def partials_matrices(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrices ``(K_{n-1}, K_n)`` that take a net to those of d/du and d/dv.
+
+    ``w`` depends on both: d/du = n (b_{i+1,j,k} - b_{i,j,k+1}).
+    """
+    du = np.zeros((size(n - 1), size(n)))
+    dv = np.zeros_like(du)
+    for r, (i, j, _k) in enumerate(multi_indices(n - 1)):
+        du[r, row(n, i + 1, j)] += n
+        du[r, row(n, i, j)] -= n
+        dv[r, row(n, i, j + 1)] += n
+        dv[r, row(n, i, j)] -= n
+    du.setflags(write=False)
+    dv.setflags(write=False)
+    return du, dv
+
+
+def _de_casteljau_matrix(n: int, uvw: np.ndarray) -> np.ndarray:
+    """Return one de Casteljau step as a matrix ``(K_{n-1}, K_n)``."""
+    out = np.zeros((size(n - 1), size(n)))
+    for r, (i, j, _k) in enumerate(multi_indices(n - 1)):
+        out[r, row(n, i + 1, j)] += uvw[0]
+        out[r, row(n, i, j + 1)] += uvw[1]
+        out[r, row(n, i, j)] += uvw[2]
+    return out
+
+
+def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
+    """Return the ``(K, K)`` matrix that takes a net to the net over a domain triangle.
+
+    Row ``(i, j, k)`` is the blossom value ``b[A^i, B^j, C^k]`` (Ramshaw), so every net
+    coefficient is an affine combination of the old ones.
+
+    Parameters
+    ----------
+    n : int
+        Degree.
+    corners : (3, 3) array
+        Barycentric coordinates of the new corners ``A``, ``B``, ``C``, one a row; each row
+        sums to 1 for an affine change and may have any non-zero sum for a projective one.
+    """
+    corners = np.asarray(corners, dtype=np.float64)
+    steps = [[_de_casteljau_matrix(m, c) for c in corners] for m in range(1, n + 1)]
+
+    @cache
+    def blossom(i: int, j: int, k: int) -> np.ndarray:
+        m = i + j + k  # rows: the net of degree n reduced by m arguments
+        if m == 0:
+            return np.eye(size(n))
+        which = 0 if i else (1 if j else 2)
+        rest = blossom(i - (which == 0), j - (which == 1), k - (which == 2))
+        return steps[n - m][which] @ rest
+
+    return np.concatenate([blossom(int(i), int(j), int(k)) for i, j, k in multi_indices(n)])
+
+
+#: Corners of the four midpoint sub-triangles: at A, at B, at C, and the middle one turned by a
+#: half turn, all with the orientation of the parent.
+SPLIT_CORNERS = (
+    np.array(
+        [
+            [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
+            [[1, 1, 0], [0, 2, 0], [0, 1, 1]],
+            [[1, 0, 1], [0, 1, 1], [0, 0, 2]],
+            [[0, 1, 1], [1, 0, 1], [1, 1, 0]],
+        ],
+        dtype=np.float64,
+    )
+    / 2
+)
+
+
+@cache
+def split_matrices(n: int) -> np.ndarray:
+    """Return the ``(4, K, K)`` matrices of the midpoint split (see `SPLIT_CORNERS`)."""
+    out = np.stack([subdivision_matrix(n, c) for c in SPLIT_CORNERS])
+    out.setflags(write=False)
+    return out
+
+
+@cache
+def elevation_matrix(n: int) -> np.ndarray:
+    """Return the ``(K_{n+1}, K_n)`` matrix of degree elevation from `n` to ``n + 1``."""
+    out = np.zeros((size(n + 1), size(n)))
+    for r, (i, j, k) in enumerate(multi_indices(n + 1)):
+        if i:
+            out[r, row(n, i - 1, j)] += i / (n + 1)
+        if j:
+            out[r, row(n, i, j - 1)] += j / (n + 1)
+        if k:
+            out[r, row(n, i, j)] += k / (n + 1)
+    out.setflags(write=False)
+    return out
+
+
+@cache
+def monomial_matrix(n: int) -> np.ndarray:
+    """Return the ``(K, K)`` matrix from Bernstein to monomial coefficients.
+
+    Row ``r`` belongs to ``u^a v^b`` with ``(a, b) = multi_indices(n)[r, :2]``; expanding
+    ``w^k = (1 - u - v)^k`` gives the entries.
+    """
+    out = np.zeros((size(n), size(n)))
+    multinomials = _multinomials(n)
+    for col, (i, j, k) in enumerate(multi_indices(n)):
+        for a in range(k + 1):
+            for b in range(k - a + 1):
+                term = (-1) ** (a + b) * comb(k, a) * comb(k - a, b)
+                out[row(n, i + a, j + b), col] += multinomials[col] * term
+    out.setflags(write=False)
+    return out
+
+
+@cache
+def permutation(n: int, order: tuple[int, int, int]) -> np.ndarray:
+    """Return the row order that renames the corners: new corner ``c`` is old ``order[c]``."""
+    rows = []
+    for ijk in multi_indices(n):
+        old = [0, 0, 0]
+        for new, exponent in enumerate(ijk):
+            old[order[new]] = int(exponent)
+        rows.append(row(n, old[0], old[1]))
+    return np.array(rows)

@@ -1,0 +1,389 @@
+"""`BezierTriangles`: patches of one degree as homogeneous control nets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import NetError
+from . import bernstein
+
+__all__ = ["BezierTriangles", "Differential"]
+
+
+class Differential(NamedTuple):
+    """Affine point and true partial derivatives, each of shape ``(N, 3)``."""
+
+    p: np.ndarray
+    dp_du: np.ndarray
+    dp_dv: np.ndarray
+    d2p_duu: np.ndarray
+    d2p_duv: np.ndarray
+    d2p_dvv: np.ndarray
+
+
+class BezierTriangles:
+    """Rational Bézier triangles of one degree.
+
+    A control point is homogeneous and weighted, ``(w x, w y, w z, w)``. Weights may be zero
+    (a control vector, a point at infinity) or negative.
+
+    Parameters
+    ----------
+    control_points : (P, K, 4) array_like
+        `P` nets of ``K = (n+1)(n+2)/2`` homogeneous control points each, rows in the order
+        of `bernstein.multi_indices`. A single net ``(K, 4)`` is taken as ``P = 1``.
+
+    Raises
+    ------
+    NetError
+        If the shape is not of this form, a number is NaN or infinite, or all control points
+        of one net are the zero vector.
+    """
+
+    def __init__(self, control_points: Any) -> None:
+        try:
+            net = np.array(control_points, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise NetError.expected(
+                "control_points", "an array of numbers of shape (P, K, 4)", f"{error}"
+            ) from None
+        if net.ndim == 2:
+            net = net[None]
+        if net.ndim != 3 or net.shape[-1] != 4:
+            raise NetError.expected(
+                "control_points",
+                "shape (P, K, 4): homogeneous points (w x, w y, w z, w)",
+                f"shape {net.shape}",
+            )
+        if net.shape[0] == 0:
+            raise NetError.expected("control_points", "at least one patch", "P = 0")
+        self._degree = bernstein.degree_of(net.shape[1])
+        if not np.isfinite(net).all():
+            p, k, c = np.argwhere(~np.isfinite(net))[0]
+            raise NetError.expected(
+                "control_points", "finite numbers", f"{net[p, k, c]} at patch {p}, row {k}"
+            )
+        empty = ~net.any(axis=(1, 2))
+        if empty.any():
+            raise NetError.expected(
+                "control_points",
+                "nets with a point that is not the zero vector",
+                f"only zero vectors in patch {int(np.argmax(empty))}",
+            )
+        net.setflags(write=False)
+        self._net = net
+
+    # ------------------------------------------------------------------ basic facts
+
+    @property
+    def control_points(self) -> np.ndarray:
+        """The nets, ``(P, K, 4)`` float64, read-only."""
+        return self._net
+
+    @property
+    def degree(self) -> int:
+        """The degree n."""
+        return self._degree
+
+    @property
+    def weights(self) -> np.ndarray:
+        """The weights, ``(P, K)``."""
+        return self._net[..., 3]
+
+    def __len__(self) -> int:
+        return self._net.shape[0]
+
+    def __getitem__(self, index: Any) -> BezierTriangles:
+        """Return the patches selected by an integer, slice, mask or index array."""
+        return BezierTriangles(self._net[index])
+
+    def __iter__(self) -> Iterator[BezierTriangles]:
+        return (self[p] for p in range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, BezierTriangles) and np.array_equal(self._net, other._net)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"BezierTriangles({len(self)} patches of degree {self.degree})"
+
+    # ------------------------------------------------------------------ evaluation
+
+    def _arguments(self, patch: Any, uv: Any) -> tuple[np.ndarray, np.ndarray]:
+        uv = np.atleast_2d(np.asarray(uv, dtype=np.float64))
+        if uv.ndim != 2 or uv.shape[1] != 2:
+            raise NetError.expected("uv", "shape (N, 2)", f"shape {uv.shape}")
+        patch = np.broadcast_to(np.asarray(patch), uv.shape[:1])
+        if not np.issubdtype(patch.dtype, np.integer):
+            raise NetError.expected("patch", "integers of shape (N,)", f"dtype {patch.dtype}")
+        if patch.size and (patch.min() < -len(self) or patch.max() >= len(self)):
+            raise NetError.expected(
+                "patch", f"numbers below {len(self)}", f"{patch.min()}..{patch.max()}"
+            )
+        return patch, uv
+
+    def _combine(self, nets: np.ndarray, patch: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        if len(nets) == 1:
+            return weights @ nets[0]
+        return np.einsum("nk,nkc->nc", weights, nets[patch])
+
+    def evaluate(self, patch: Any, uv: Any) -> np.ndarray:
+        """Evaluate homogeneous surface points.
+
+        Parameters
+        ----------
+        patch : int or (N,) int array
+            Patch numbers.
+        uv : (N, 2) array
+            Parameters, not required to lie in the triangle.
+
+        Returns
+        -------
+        (N, 4) array
+            ``(w x, w y, w z, w)``; ``w = 0`` is a point at infinity.
+        """
+        patch, uv = self._arguments(patch, uv)
+        return self._combine(self._net, patch, bernstein.basis(self.degree, uv))
+
+    def partials(self, patch: Any, uv: Any, order: int = 2) -> list[np.ndarray]:
+        """Evaluate homogeneous partial derivatives.
+
+        Returns
+        -------
+        list of (N, 4) arrays
+            For ``order = 1``: value, d/du, d/dv; for ``order = 2`` also uu, uv, vv.
+        """
+        patch, uv = self._arguments(patch, uv)
+        n = self.degree
+        du, dv = bernstein.partials_matrices(n)
+        b0, b1 = bernstein.basis(n, uv), bernstein.basis(n - 1, uv)
+        weights = [b0, b1 @ du, b1 @ dv]
+        if order >= 2:
+            if n >= 2:
+                du1, dv1 = bernstein.partials_matrices(n - 1)
+                b2 = bernstein.basis(n - 2, uv)
+                weights += [b2 @ du1 @ du, b2 @ du1 @ dv, b2 @ dv1 @ dv]
+            else:
+                weights += [np.zeros_like(b0)] * 3
+        return [self._combine(self._net, patch, w) for w in weights]
+
+    def differential(self, patch: Any, uv: Any) -> Differential:
+        """Evaluate the affine point with first and second partials (quotient rule).
+
+        Where the point is at infinity the result is not finite.
+        """
+        h = self.partials(patch, uv)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inv = 1.0 / h[0][:, 3:]
+            p = h[0][:, :3] * inv
+            pu = (h[1][:, :3] - p * h[1][:, 3:]) * inv
+            pv = (h[2][:, :3] - p * h[2][:, 3:]) * inv
+
+            def second(hab: np.ndarray, pa, pb, wa, wb) -> np.ndarray:
+                return (hab[:, :3] - p * hab[:, 3:] - pa * wb - pb * wa) * inv
+
+            wu, wv = h[1][:, 3:], h[2][:, 3:]
+            return Differential(
+                p,
+                pu,
+                pv,
+                second(h[3], pu, pu, wu, wu),
+                second(h[4], pu, pv, wu, wv),
+                second(h[5], pv, pv, wv, wv),
+            )
+
+    def points(self, patch: Any, uv: Any) -> np.ndarray:
+        """Evaluate affine surface points ``(N, 3)``."""
+        h = self.evaluate(patch, uv)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return h[:, :3] / h[:, 3:]
+
+    def normals(self, patch: Any, uv: Any) -> np.ndarray:
+        """Evaluate unit normals ``(N, 3)``, along ``dp_du x dp_dv``.
+
+        Where the cross product vanishes (collapsed edge or corner), the limit from the
+        inside of the triangle is taken, by stepping towards the centroid.
+        """
+        patch, uv = self._arguments(patch, uv)
+        uv = uv.copy()
+        out = np.zeros((len(uv), 3))
+        todo = np.arange(len(uv))
+        for step in (0.0, 1e-6, 1e-4, 1e-2):
+            moved = uv[todo] + step * (1 / 3 - uv[todo])
+            d = self.differential(patch[todo], moved)
+            n = np.cross(d.dp_du, d.dp_dv)
+            length = np.linalg.norm(n, axis=1)
+            scale = np.linalg.norm(d.dp_du, axis=1) * np.linalg.norm(d.dp_dv, axis=1)
+            # 1e-9: far above the rounding of the cross product, far below any real angle
+            good = length > 1e-9 * np.maximum(scale, np.finfo(float).tiny)
+            out[todo[good]] = n[good] / length[good, None]
+            todo = todo[~good]
+            if not len(todo):
+                break
+        return out
+
+    # ------------------------------------------------------------------ new nets
+
+    def subtriangle(self, corners: Any) -> BezierTriangles:
+        """Return the nets over one domain triangle, by blossoming.
+
+        Parameters
+        ----------
+        corners : (3, 3) array_like
+            Barycentric coordinates of the new corners, one a row.
+        """
+        corners = np.asarray(corners, dtype=np.float64)
+        if corners.shape != (3, 3) or not np.isfinite(corners).all():
+            raise NetError.expected(
+                "corners", "finite barycentric coordinates of shape (3, 3)", f"{corners.tolist()}"
+            )
+        if abs(np.linalg.det(corners)) < 1e-300:
+            raise NetError.expected("corners", "three independent points", f"{corners.tolist()}")
+        return BezierTriangles(bernstein.subdivision_matrix(self.degree, corners) @ self._net)
+
+    def split(self) -> BezierTriangles:
+        """Return the midpoint split: patch ``p`` becomes ``4p .. 4p + 3``.
+
+        The order is: at corner A, at B, at C, the middle one; orientation is kept.
+        """
+        parts = np.einsum("ekl,plc->pekc", bernstein.split_matrices(self.degree), self._net)
+        return BezierTriangles(parts.reshape(-1, *self._net.shape[1:]))
+
+    def elevate(self, times: int = 1) -> BezierTriangles:
+        """Return the same surfaces as nets of degree ``n + times``."""
+        if times < 0:
+            raise NetError.expected("times", "a number of elevations >= 0", times)
+        net = self._net
+        for m in range(self.degree, self.degree + times):
+            net = bernstein.elevation_matrix(m) @ net
+        return BezierTriangles(net)
+
+    def transform(self, matrix: Any) -> BezierTriangles:
+        """Return the image under a collineation.
+
+        Parameters
+        ----------
+        matrix : (4, 4) array_like
+            Any regular matrix, acting on homogeneous columns.
+
+        Raises
+        ------
+        NetError
+            If the matrix is not of this form, not finite, or singular.
+        """
+        m = np.asarray(matrix, dtype=np.float64)
+        if m.shape != (4, 4) or not np.isfinite(m).all():
+            raise NetError.expected("matrix", "a finite 4x4 matrix", f"shape {m.shape}")
+        sigma = np.linalg.svd(m, compute_uv=False)
+        if not sigma[-1] > 1e-14 * sigma[0]:
+            raise NetError.expected(
+                "matrix", "a regular matrix", f"condition {sigma[0]:.3g}/{sigma[-1]:.3g}"
+            )
+        return BezierTriangles(self._net @ m.T)
+
+    def reverse(self) -> BezierTriangles:
+        """Return the same surfaces with the other orientation (corners B and C exchanged)."""
+        return BezierTriangles(self._net[:, bernstein.permutation(self.degree, (0, 2, 1))])
+
+    @staticmethod
+    def join(parts: Sequence[BezierTriangles]) -> BezierTriangles:
+        """Return all patches in one object, elevated to the highest degree among them."""
+        if not parts:
+            raise NetError.expected("parts", "at least one BezierTriangles", "none")
+        top = max(p.degree for p in parts)
+        return BezierTriangles(
+            np.concatenate([p.elevate(top - p.degree).control_points for p in parts])
+        )
+
+    # ------------------------------------------------------------------ measures
+
+    def bounds(self) -> np.ndarray:
+        """Return axis-aligned boxes ``(P, 2, 3)``: lower and upper corner.
+
+        The affine hull property needs weights of one sign; a control vector opens the box
+        to infinity on its side. A net whose weights change sign has the whole space as box
+        (subdivide first for something tighter).
+        """
+        w = self._net[..., 3]
+        sign = np.where((w >= 0).all(axis=1), 1.0, np.where((w <= 0).all(axis=1), -1.0, 0.0))
+        net = self._net * np.where(sign == 0, 1.0, sign)[:, None, None]
+        w = net[..., 3]
+        finite = w > 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            p = np.where(finite[..., None], net[..., :3] / w[..., None], np.nan)
+        vector = np.where(finite[..., None], 0.0, net[..., :3])
+        lo = np.where(finite[..., None], p, np.inf).min(axis=1)
+        hi = np.where(finite[..., None], p, -np.inf).max(axis=1)
+        lo = np.where((vector < 0).any(axis=1), -np.inf, lo)
+        hi = np.where((vector > 0).any(axis=1), np.inf, hi)
+        unbounded = (sign == 0) | ~finite.any(axis=1)
+        lo[unbounded], hi[unbounded] = -np.inf, np.inf
+        return np.stack([lo, hi], axis=1)
+
+    def area(self, tolerance: float = 1e-10) -> np.ndarray:
+        """Return the area of each patch ``(P,)``.
+
+        Gauss-Legendre on the triangle collapsed to the square, on ever finer midpoint
+        splits until two levels agree to `tolerance` relative.
+        """
+        nodes, gauss = np.polynomial.legendre.leggauss(12)
+        nodes, gauss = (nodes + 1) / 2, gauss / 2
+        s, t = np.meshgrid(nodes, nodes, indexing="ij")
+        uv = np.stack([s, (1 - s) * t], axis=-1).reshape(-1, 2)
+        weight = (np.outer(gauss * (1 - nodes), gauss)).reshape(-1)
+
+        def once(nets: BezierTriangles) -> np.ndarray:
+            count = len(nets)
+            d = nets.differential(np.repeat(np.arange(count), len(uv)), np.tile(uv, (count, 1)))
+            length = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1)
+            return length.reshape(count, -1) @ weight
+
+        nets: BezierTriangles = self
+        value = once(nets)
+        for level in range(1, 6):
+            nets = nets.split()
+            finer = once(nets).reshape(len(self), 4**level).sum(axis=1)
+            done = np.abs(finer - value) <= tolerance * np.abs(finer)
+            value = finer
+            if done.all():
+                break
+        return value
+
+    def tessellate(self, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return a triangle mesh: vertices ``(V, 3)`` and faces ``(F, 3)``.
+
+        Each patch gets ``resolution**2`` triangles; vertices of different patches are not
+        merged.
+        """
+        if resolution < 1:
+            raise NetError.expected("resolution", "a number of subdivisions >= 1", resolution)
+        r = resolution
+        uv = bernstein.multi_indices(r)[:, :2] / r
+        row = bernstein.row
+        faces = [
+            (row(r, i + 1, j), row(r, i, j + 1), row(r, i, j))
+            for i, j, _k in bernstein.multi_indices(r - 1).tolist()
+        ]
+        if r >= 2:  # the triangles turned by half a turn between them
+            faces += [
+                (row(r, i + 1, j + 1), row(r, i, j + 1), row(r, i + 1, j))
+                for i, j, _k in bernstein.multi_indices(r - 2).tolist()
+            ]
+        count = len(uv)
+        patch = np.repeat(np.arange(len(self)), count)
+        vertices = self.points(patch, np.tile(uv, (len(self), 1)))
+        offset = count * np.arange(len(self))[:, None, None]
+        return vertices, (np.array(faces)[None] + offset).reshape(-1, 3)
+
+    # ------------------------------------------------------------------ files
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write to a file; the suffix tells the format (see `mitsuba_bezier.load`)."""
+        from ..io import save
+
+        save(self, path)
