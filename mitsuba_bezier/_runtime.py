@@ -1,0 +1,177 @@
+"""What runs below Mitsuba: which LLVM Dr.Jit takes, and whether a variant can run our kernels.
+
+Dr.Jit looks for LLVM once, while it is imported, at ``DRJIT_LIBLLVM_PATH`` or under the linker's
+default name, which on many machines is LLVM 14, 15 or 16 and ends in an aborted process. So
+`prepare` sets the variable as soon as ``mitsuba_bezier`` is imported, and `check` looks at what
+was really loaded before a kernel of ours runs. Importing never fails for want of LLVM: it is not
+needed for the NumPy geometry, nor on CUDA.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+from types import ModuleType
+
+from . import _llvm
+from .errors import RuntimeSetupError, VariantError
+
+__all__ = [
+    "VARIABLE",
+    "check",
+    "import_mitsuba",
+    "llvm_path",
+    "llvm_problem",
+    "llvm_version",
+    "prepare",
+    "usable_variants",
+]
+
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+
+_prepared = False
+_late = False  # Dr.Jit was imported before us: its LLVM is settled
+_ours: _llvm.Library | None = None  # what we put into the variable
+_good: set[str] = set()  # variants that passed `check`
+
+
+def prepare() -> None:
+    """Choose the LLVM library that Dr.Jit will load; called when the package is imported.
+
+    A variable set by the user stays. If Dr.Jit was imported before, nothing can be changed any
+    more; `check` then says what to do if its LLVM is too old.
+    """
+    global _prepared, _late, _ours
+    if _prepared:
+        return
+    _prepared = True
+    _late = "drjit" in sys.modules
+    if os.environ.get(VARIABLE):
+        # a child process inherits the variable, but not the libraries loaded beside it
+        _llvm.preload(os.environ[VARIABLE])
+        return
+    if _late:
+        return
+    _ours = _llvm.find()
+    if _ours is not None:
+        _llvm.preload(_ours.path)
+        os.environ[VARIABLE] = _ours.path
+
+
+def import_mitsuba() -> ModuleType:
+    """Import and return Mitsuba.
+
+    Raises
+    ------
+    RuntimeSetupError
+        If Dr.Jit or Mitsuba cannot be loaded, above all without ``libatomic.so.1``.
+    """
+    try:
+        return import_module("mitsuba")
+    except (ImportError, NameError) as error:
+        # Dr.Jit's own handler fails with a NameError about `_drjit_ext` and hides the cause
+        cause = error.__context__ if isinstance(error, NameError) else error
+        if _llvm.load_error("libatomic.so.1") and "libatomic" in str(cause):
+            raise RuntimeSetupError.expected(
+                "libatomic",
+                "libatomic.so.1, which Dr.Jit needs",
+                f'"{cause}"; install it: {_llvm.install_command("libatomic")}',
+            ) from None
+        raise RuntimeSetupError.expected(
+            "mitsuba", "a Mitsuba 3.9 that can be imported", f'"{cause or error}"'
+        ) from error
+
+
+def llvm_version() -> tuple[int, int, int] | None:
+    """Return the version of the LLVM that Dr.Jit loaded, or None if it has none."""
+    import_mitsuba()
+    version = tuple(import_module("drjit").detail.llvm_version())
+    return version if version[0] >= 0 else None
+
+
+def llvm_path() -> str | None:
+    """Return the file of the LLVM that Dr.Jit loaded, or None if it cannot be told."""
+    try:
+        with open("/proc/self/maps") as maps:
+            paths = [line.split(maxsplit=5)[-1].strip() for line in maps if "/libLLVM" in line]
+    except OSError:  # no Linux
+        return os.environ.get(VARIABLE)
+    return paths[0] if paths else None
+
+
+def llvm_problem() -> str | None:
+    """Return what is wrong with Dr.Jit's LLVM and what to do about it, or None if it will do."""
+    version = llvm_version()
+    if version is not None and version[0] >= _llvm.MINIMUM:
+        return None
+    named = os.environ.get(VARIABLE)
+    by_user = bool(named) and (_ours is None or named != _ours.path)
+    path = llvm_path()
+    if version is not None:
+        got = f"{'.'.join(map(str, version))}" + (f" ({path})" if path else "")
+    elif named:
+        reason = _llvm.load_error(named) or "loads, but Dr.Jit cannot use it"
+        got = f"{VARIABLE}={named} ({reason})"
+    else:
+        got = "no LLVM library that Dr.Jit can use"
+
+    better = _ours or _llvm.find()
+    if better is None or (named == better.path and version is None):
+        todo = f"install one: {_llvm.install_command('llvm')}"
+        if by_user:
+            todo += f", and unset {VARIABLE}"
+    elif by_user and not (_late and path and os.path.realpath(str(named)) != path):
+        todo = f"unset {VARIABLE}, or set it to {better.path}"
+    else:
+        todo = (
+            "Dr.Jit was imported first and has made its choice: import mitsuba_bezier before "
+            f"drjit and mitsuba, or start Python with {VARIABLE}={better.path}"
+        )
+    return f"LLVM: expected version {_llvm.MINIMUM} or newer, got {got}; {todo}"
+
+
+def _starts(name: str) -> bool:
+    """Tell whether the backend of a variant is there and able to run our kernels."""
+    if name.startswith("llvm_"):
+        return llvm_problem() is None
+    dr = import_module("drjit")
+    return name.startswith("cuda_") and bool(dr.has_backend(dr.JitBackend.CUDA))
+
+
+def usable_variants() -> list[str]:
+    """Return the variants of this Mitsuba that can run Dr.Jit kernels on this machine."""
+    return [name for name in import_mitsuba().variants() if _starts(name)]
+
+
+def check(variant: str | None) -> None:
+    """Make sure that `variant` can run our kernels; to be called before one of them runs.
+
+    Raises
+    ------
+    VariantError
+        If no variant is set, or one that cannot run a Dr.Jit kernel, or an unknown one.
+    RuntimeSetupError
+        If the variant needs LLVM and Dr.Jit has none, or one that would abort the process.
+    """
+    if variant in _good:
+        return
+    known = import_mitsuba().variants()
+    if variant in known and _starts(variant):
+        _good.add(variant)
+        return
+    problem = llvm_problem()
+    if variant in known and variant.startswith("llvm_") and problem:
+        raise RuntimeSetupError(problem)
+    usable = usable_variants()
+    if usable:
+        expected = f"one of {', '.join(usable)}"
+    else:
+        expected = f"a JIT variant, of which none starts here ({problem})"
+    if variant is None:
+        got = "none; choose one, e.g. mi.set_variant('llvm_ad_rgb')"
+    elif variant.startswith("scalar_"):
+        got = f"{variant}, which cannot run a Dr.Jit kernel"
+    else:
+        got = variant
+    raise VariantError.expected("variant", expected, got)
