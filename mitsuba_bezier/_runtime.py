@@ -157,11 +157,11 @@ def check(variant: str | None) -> None:
     if variant in _good:
         return
     known = import_mitsuba().variants()
-    if variant in known and _starts(variant):
+    if variant is not None and variant in known and _starts(variant):
         _good.add(variant)
         return
     problem = llvm_problem()
-    if variant in known and variant.startswith("llvm_") and problem:
+    if variant is not None and variant in known and variant.startswith("llvm_") and problem:
         raise RuntimeSetupError(problem)
     usable = usable_variants()
     if usable:
