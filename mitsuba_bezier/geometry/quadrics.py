@@ -15,7 +15,14 @@ import numpy as np
 from ..errors import GeometryError, NetError
 from . import bernstein
 
-__all__ = ["fit_quadric", "fit_quadrics", "quadric_matrix", "quadric_patch"]
+__all__ = [
+    "fit_quadric",
+    "fit_quadrics",
+    "normalize_quadric",
+    "quadric_matrix",
+    "quadric_patch",
+    "whiten",
+]
 
 #: Relative size below which a quantity that ought to vanish is taken as zero: far above the
 #: rounding (about 1e-15) of input computed in float64, far below anything drawn by intent.
@@ -124,6 +131,8 @@ def quadric_patch(A: Any, center: Any, points: Any) -> np.ndarray:
 
 #: Places of the ten entries of a symmetric 4x4 matrix.
 _ROWS, _COLUMNS = np.triu_indices(4)
+#: Entries of `A` over entries of the unknown vector, which has the Frobenius norm of `A`.
+_FROBENIUS = np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
 
 
 def _multinomials(n: int) -> np.ndarray:
@@ -152,42 +161,93 @@ def _equations(nets: np.ndarray, n: int) -> np.ndarray:
     """Return the systems ``(P, K_2n, 10)`` for the entries of A on and above the diagonal."""
     first, second, product = _product_matrix(n)
     x, y = nets[:, first], nets[:, second]
-    # b_a'A b_b, symmetrised; entries off the diagonal stand for two and carry sqrt(2), so that
-    # the norm of the unknown is the Frobenius norm of A
-    pairs = (x[..., _ROWS] * y[..., _COLUMNS] + x[..., _COLUMNS] * y[..., _ROWS]) * np.where(
-        _ROWS == _COLUMNS, 0.5, np.sqrt(0.5)
-    )
-    return product @ pairs
+    pairs = x[..., _ROWS] * y[..., _COLUMNS] + x[..., _COLUMNS] * y[..., _ROWS]
+    return product @ (pairs / _FROBENIUS)
 
 
-def fit_quadrics(nets: Any, tolerance: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
+def whiten(nets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Map each net by a collineation that makes its four columns orthonormal.
+
+    Afterwards place, size, proportions, flatness and weights no longer count: nets that differ
+    by a collineation differ by a rotation of the four coordinates only.
+
+    Parameters
+    ----------
+    nets : (P, K, 4) array
+
+    Returns
+    -------
+    white : (P, K, 4) array
+        The nets ``b @ back``; their fourth column is noise where `thickness` is zero.
+    back : (P, 4, 4) array
+        A quadric `A` of the white net is ``back A back'`` for the old one; a plane likewise.
+    thickness : (P,) array
+        Smallest over largest singular value of the net, moved and scaled to unit size; 0 for
+        a net in a plane.
+    """
+    top = np.abs(nets).max(axis=(1, 2), keepdims=True)
+    scale = np.where(top > 0, top, 1.0)
+    xyz, w = nets[..., :3] / scale, nets[..., 3:] / scale
+    # origin into the net (least squares: ideal points have no say), then unit size; this is
+    # where the digits of a small patch far from the origin would get lost in the SVD
+    weight = (w * w).sum(axis=1)
+    finite = weight > 0
+    origin = np.where(finite, (xyz * w).sum(axis=1) / np.where(finite, weight, 1.0), 0.0)
+    local = xyz - w * origin[:, None]
+    sizes = np.sqrt((local**2).sum(axis=(1, 2))), np.sqrt(weight[:, 0])
+    a, b = (np.where(s > 0, s, 1.0) for s in sizes)
+    move = np.zeros((len(nets), 4, 4))
+    move[:, [0, 1, 2], [0, 1, 2]] = 1 / a[:, None]
+    move[:, 3, 3] = 1 / b
+    move[:, 3, :3] = -origin / a[:, None]
+    local = np.concatenate([local / a[:, None, None], w / b[:, None, None]], axis=-1)
+    if nets.shape[1] < 4:  # degree 1: three points, always in a plane
+        return local, move / scale, np.zeros(len(nets))
+    u, sigma, vt = np.linalg.svd(local, full_matrices=False)
+    first = np.where(sigma[:, :1] > 0, sigma[:, :1], 1.0)
+    thickness = sigma[:, -1] / first[:, 0]
+    # the clamp keeps numbers finite; a net that needs it is in a plane
+    back = np.swapaxes(vt, 1, 2) / np.maximum(sigma, 1e-16 * first)[:, None, :]
+    return u, move @ back / scale, thickness
+
+
+def fit_quadrics(
+    nets: Any, tolerance: float = 1e-9, flat: float = 1e-13
+) -> tuple[np.ndarray, np.ndarray]:
     """Find the quadric on which each net lies, if it lies on exactly one.
 
     ``b'Ab`` is a polynomial of degree ``2n``; its Bernstein coefficients are ``K_2n`` linear
-    equations in the ten entries of `A`. Each net is first mapped by the collineation that
-    makes its 4 columns orthonormal, so that place, size, flatness and weights do not
-    count; then the net lies on a quadric when the smallest singular value is at most
-    `tolerance` times the second smallest.
+    equations in the ten entries of `A`, exact for every degree. They are solved after `whiten`
+    by a singular value decomposition: the net lies on a quadric when the smallest singular
+    value is at most `tolerance` times the second smallest.
 
     Parameters
     ----------
     nets : (P, K, 4) array_like
         Nets of any degree ``n >= 1``.
     tolerance : float
-        Bound of the ratio of the two smallest singular values, which is about the relative
-        distance from the quadric, measured against the bulge of the patch. Input computed in
-        float64 has ratios of about ``1e-16`` times the ratio of length to bulge (1 for an
-        octant of a sphere, 1e4 for a patch of 1/100 of the radius); 1e-9 leaves room for
-        four digits lost in earlier work and stays far below any modelled deviation. Nets
-        rounded to float32 need about 1e-5.
+        Bound of the ratio of the two smallest singular values. The ratio is about the distance
+        from the quadric, measured against the bulge of the patch (the part of its shape that
+        is not plane). Nets computed in float64 have about 1e-16 times length over bulge: 1e-15
+        for an octant of a sphere, 1e-12 for a patch of 1/100 of the radius. So 1e-9 leaves
+        three digits to earlier steps, and stays far below deviations that anyone draws or a
+        render can show. Nets rounded to float32 have 1e-7 times length over bulge instead;
+        1e-5 is right for patches not smaller than a fifth of the radius.
+    flat : float
+        A net with less `whiten` thickness than this counts as plane: rounding leaves some
+        1e-16 in float64. Nets rounded to float32 need about 1e-6.
 
     Returns
     -------
     A : (P, 4, 4) array
-        Symmetric, largest entry 1 in absolute value, more positive eigenvalues than negative
-        ones where they differ; zero where ``ok`` is false.
+        Symmetric, scaled as by `normalize_quadric`; zero where ``ok`` is false.
     ok : (P,) bool array
         False also for nets in a plane, on a curve or in a point: many quadrics hold these.
+
+    Raises
+    ------
+    NetError
+        If the array is not of this form or not finite.
     """
     nets = np.asarray(nets, dtype=np.float64)
     if nets.ndim != 3 or nets.shape[-1] != 4:
@@ -195,69 +255,65 @@ def fit_quadrics(nets: Any, tolerance: float = 1e-9) -> tuple[np.ndarray, np.nda
     if not np.isfinite(nets).all():
         raise NetError.expected("nets", "finite numbers", "NaN or infinity")
     n = bernstein.degree_of(nets.shape[1], "nets")
-    count = len(nets)
-    out = np.zeros((count, 4, 4))
-    ok = np.zeros(count, dtype=bool)
+    out = np.zeros((len(nets), 4, 4))
+    ok = np.zeros(len(nets), dtype=bool)
+    if n == 1:
+        return out, ok
     chunk = max(1, 4_000_000 // (nets.shape[1] ** 2 * 10))  # some 30 MB of temporaries
-    for start in range(0, count, chunk):
+    for start in range(0, len(nets), chunk):
         part = slice(start, start + chunk)
-        out[part], ok[part] = _fit(nets[part], n, tolerance)
+        white, back, thickness = whiten(nets[part])
+        values, q = np.linalg.svd(_equations(white, n), full_matrices=False)[1:]
+        good = (thickness > flat) & (values[:, -1] <= tolerance * values[:, -2])
+        # a second null vector: no single quadric. Proper patches have 1e-3 and up here, and at
+        # 1e-7 the first null vector could not be told from the second to nine digits.
+        good &= values[:, -2] > 1e-7 * values[:, 0]
+        a = np.zeros((len(white), 4, 4))
+        a[:, _ROWS, _COLUMNS] = a[:, _COLUMNS, _ROWS] = q[:, -1] * _FROBENIUS
+        a = back @ a @ np.swapaxes(back, 1, 2)
+        a = np.where(good[:, None, None], (a + np.swapaxes(a, 1, 2)) / 2, 0.0)
+        out[part], ok[part] = normalize_quadric(a), good
     return out, ok
 
 
-def _fit(nets: np.ndarray, n: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    # equal rows first: a factor of the whole net, or a scale of space, is then harmless
-    size = np.abs(nets).max(axis=(1, 2), keepdims=True)
-    u, sigma, vt = np.linalg.svd(nets / np.where(size > 0, size, 1.0), full_matrices=False)
-    # a net in a plane has rank 3; below 1e-13 the bulge is rounding
-    spatial = sigma[:, -1] > 1e-13 * sigma[:, 0]
-    if u.shape[-1] < 4:  # degree 1: three points, always a plane
-        return np.zeros((len(nets), 4, 4)), np.zeros(len(nets), dtype=bool)
-    values, q = np.linalg.svd(_equations(u, n))[1:]
-    ok = spatial & (values[:, -1] <= tolerance * values[:, -2])
-    # more than one null vector: no single quadric. Values of a proper patch are 1e-3 and up.
-    ok &= values[:, -2] > 1e-7 * values[:, 0]
-    entries = q[:, -1] * np.where(_ROWS == _COLUMNS, 1.0, np.sqrt(0.5))
-    a = np.zeros((len(nets), 4, 4))
-    a[:, _ROWS, _COLUMNS] = entries
-    a[:, _COLUMNS, _ROWS] = entries
-    # u = b V / sigma, hence A in the old coordinates is V / sigma A sigma^-1 V'
-    back = np.swapaxes(vt, 1, 2) / np.where(spatial[:, None], sigma, 1.0)[:, None, :]
-    a = back @ a @ np.swapaxes(back, 1, 2)
-    a = (a + np.swapaxes(a, 1, 2)) / 2
-    a[~ok] = 0.0
-    return normalize_quadric(a), ok
-
-
-def normalize_quadric(a: np.ndarray) -> np.ndarray:
-    """Scale matrices ``(..., 4, 4)`` to largest entry 1, mostly positive eigenvalues."""
-    size = np.abs(a).max(axis=(-2, -1), keepdims=True)
-    a = a / np.where(size > 0, size, 1.0)
-    eigen = np.linalg.eigvalsh(a)
-    bound = ZERO * np.abs(eigen).max(axis=-1, keepdims=True)
-    excess = (eigen > bound).sum(axis=-1) - (eigen < -bound).sum(axis=-1)
-    trace = np.trace(a[..., :3, :3], axis1=-2, axis2=-1)
-    sign = np.where(excess != 0, np.sign(excess), np.where(trace < 0, -1.0, 1.0))
-    return a * sign[..., None, None]
-
-
-def fit_quadric(net: Any, tolerance: float = 1e-9) -> np.ndarray | None:
-    """Return the quadric on which one net lies, or None; see `fit_quadrics`.
+def fit_quadric(net: Any, tolerance: float = 1e-9, flat: float = 1e-13) -> np.ndarray | None:
+    """Return the quadric on which one net lies, or None.
 
     Parameters
     ----------
     net : (K, 4) array_like
         A net of any degree.
-    tolerance : float
+    tolerance, flat : float
         As for `fit_quadrics`.
 
     Returns
     -------
     (4, 4) array or None
         None if the net lies on no quadric, or, like a plane net, on many.
+
+    Raises
+    ------
+    NetError
+        If the net is not of this form or not finite.
     """
     net = np.asarray(net, dtype=np.float64)
     if net.ndim != 2 or net.shape[1] != 4:
         raise NetError.expected("net", "shape (K, 4)", f"shape {net.shape}")
-    a, ok = fit_quadrics(net[None], tolerance)
+    a, ok = fit_quadrics(net[None], tolerance, flat)
     return a[0] if ok[0] else None
+
+
+def normalize_quadric(a: np.ndarray) -> np.ndarray:
+    """Scale matrices ``(..., 4, 4)``: largest entry 1 in absolute value, sign fixed.
+
+    More eigenvalues are positive than negative; where they are equally many, the trace of the
+    upper left 3x3 block is not negative. So ``x'Ax < 0`` inside of an ellipsoid.
+    """
+    size = np.abs(a).max(axis=(-2, -1), keepdims=True)
+    a = a / np.where(size > 0, size, 1.0)
+    eigen = np.linalg.eigvalsh(a)
+    bound = 1e-14 * np.abs(eigen).max(axis=-1, keepdims=True)  # rounding of eigvalsh: 1e-16
+    excess = (eigen > bound).sum(axis=-1) - (eigen < -bound).sum(axis=-1)
+    trace = np.trace(a[..., :3, :3], axis1=-2, axis2=-1)
+    sign = np.where(excess != 0, np.sign(excess), np.where(trace < 0, -1.0, 1.0))
+    return a * sign[..., None, None]
