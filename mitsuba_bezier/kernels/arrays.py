@@ -1,0 +1,89 @@
+"""Array types derived from the arguments, so that one kernel serves LLVM and CUDA."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+__all__ = ["Types", "dot3", "gather_packets", "types_of", "upload"]
+
+
+@dataclass(frozen=True)
+class Types:
+    """The detached array types that belong to one float type."""
+
+    Float: Any
+    UInt: Any
+    Bool: Any
+    Float64: Any
+    Float32: Any
+    ArrayXf: Any
+
+
+@lru_cache(maxsize=None)
+def _types(float_type: Any) -> Types:
+    float_type = dr.detached_t(float_type)
+    name = "ArrayXf64" if float_type is dr.float64_array_t(float_type) else "ArrayXf"
+    return Types(
+        Float=float_type,
+        UInt=dr.uint32_array_t(float_type),
+        Bool=dr.mask_t(float_type),
+        Float64=dr.float64_array_t(float_type),
+        Float32=dr.float32_array_t(float_type),
+        ArrayXf=getattr(sys.modules[float_type.__module__], name),
+    )
+
+
+def types_of(value: Any) -> Types:
+    """Return the types for a Dr.Jit array or array type (its scalar leaf type counts)."""
+    leaf = dr.leaf_t(value)
+    return _types(leaf)
+
+
+def upload(array_type: Any, values: np.ndarray) -> Any:
+    """Copy a NumPy array to a flat Dr.Jit array in memory that Dr.Jit allocated.
+
+    Packet gathers need 64-byte alignment and silently fall back without it; an array made
+    straight from NumPy may alias memory that has less.
+    """
+    flat = np.ascontiguousarray(values).reshape(-1)
+    result = dr.zeros(array_type, flat.size)
+    dr.scatter(result, array_type(flat), dr.arange(dr.uint32_array_t(array_type), flat.size))
+    dr.eval(result)
+    return result
+
+
+def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> list[Any]:
+    """Gather `count` consecutive values at ``index * stride``, in packets of at most eight.
+
+    Parameters
+    ----------
+    buffer : flat array, a whole number of packets long
+    index : UInt
+        Index of the record, in units of the record's padded length.
+    count : int
+        Number of values wanted.
+
+    Returns
+    -------
+    list of `count` arrays
+    """
+    ty = types_of(buffer)
+    packets = -(-count // 8)
+    out: list[Any] = []
+    for p in range(packets):
+        values = dr.gather(
+            ty.ArrayXf, buffer, index * packets + p, active, shape=(8, dr.width(index))
+        )
+        out.extend(values[i] for i in range(8))
+    return out[:count]
+
+
+def dot3(a: Any, b: Any) -> Any:
+    """Return ``a . b`` of two sequences of three arrays, fused."""
+    return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
