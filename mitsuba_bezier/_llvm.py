@@ -19,13 +19,14 @@ from glob import glob
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["MINIMUM", "Library", "find", "install_command", "load_error", "preload"]
+__all__ = ["MINIMUM", "WHEELS", "Library", "find", "install_command", "load_error", "preload"]
 
 #: LLVM 14 is refused by Dr.Jit; 15 and 16 abort the process at the first minimum or maximum
 #: ("Cannot select: fminimum").
 MINIMUM = 17
 
-_WHEELS = ("karellen-llvm-core", "llvm-nanobind")
+#: Packages of the Python Package Index that carry an LLVM library.
+WHEELS = ("karellen-llvm-core", "llvm-nanobind")
 
 # libLLVM-17.so.1, libLLVM-14.0.6.so.1, libLLVM.so.19.1, libLLVM.dylib; not libLLVM-C.*, not the
 # private builds of other projects (libLLVM-19-rust-1.84.so, libLLVM-17jl.so)
@@ -106,7 +107,7 @@ def _version_of(path: str) -> tuple[int, ...]:
 
 
 def _wheels() -> Iterator[Library]:
-    for name in _WHEELS:
+    for name in WHEELS:
         try:
             wheel = metadata.distribution(name)
         except metadata.PackageNotFoundError:
@@ -157,12 +158,13 @@ def _same_machine(path: str) -> bool:
     return len(a) == 20 and (a[:6], a[18:]) == (b[:6], b[18:])
 
 
-_PACKAGES = {  # manager: (command, LLVM, libatomic)
-    "apt": ("apt install", "libllvm19", "libatomic1"),
-    "dnf": ("dnf install", "llvm-libs", "libatomic"),
-    "zypper": ("zypper install", "libLLVM19", "libatomic1"),
-    "pacman": ("pacman -S", "llvm-libs", "gcc-libs"),
+_PACKAGES = {  # manager: its command, and the packages with LLVM, libatomic, the NVIDIA driver
+    "apt": ("apt install", "libllvm19", "libatomic1", "nvidia-driver"),
+    "dnf": ("dnf install", "llvm-libs", "libatomic", "akmod-nvidia"),
+    "zypper": ("zypper install", "libLLVM19", "libatomic1", "nvidia-driver-G06-kmp-default"),
+    "pacman": ("pacman -S", "llvm-libs", "gcc-libs", "nvidia"),
 }
+_WANTED = {"llvm": "LLVM 19", "libatomic": "libatomic.so.1", "nvidia": "the NVIDIA driver"}
 _MANAGERS = {
     "debian": "apt",
     "ubuntu": "apt",
@@ -175,18 +177,23 @@ _MANAGERS = {
 }
 
 
-def _manager() -> str | None:
-    """Return the package manager of this Linux distribution, as far as /etc/os-release tells."""
+def _release() -> list[str]:
+    """Return the names of this Linux distribution and its relatives (/etc/os-release)."""
     try:
         release = platform.freedesktop_os_release()
     except OSError:
-        return None
-    names = [release.get("ID", ""), *release.get("ID_LIKE", "").split()]
-    return next((_MANAGERS[name] for name in names if name in _MANAGERS), None)
+        return []
+    return [release.get("ID", ""), *release.get("ID_LIKE", "").split()]
 
 
 def install_command(what: str) -> str:
-    """Return the command that installs `what` on this machine: ``llvm`` or ``libatomic``."""
+    """Return the command that installs `what` on this machine.
+
+    Parameters
+    ----------
+    what : {"llvm", "libatomic", "nvidia"}
+        An LLVM for Dr.Jit, the library libatomic.so.1, or the driver of an NVIDIA GPU.
+    """
     if what == "llvm":
         if sys.platform == "linux" and platform.machine() == "x86_64":
             return 'pip install "karellen-llvm-core>=19,<24"'
@@ -194,11 +201,12 @@ def install_command(what: str) -> str:
             return "brew install llvm"
         if sys.platform == "win32":
             return "winget install LLVM.LLVM"
-    manager = _manager()
+    names = _release()
+    manager = next((_MANAGERS[name] for name in names if name in _MANAGERS), None)
     if manager is None:
-        return (
-            f"install {'LLVM 19' if what == 'llvm' else 'libatomic.so.1'} with the system's tools"
-        )
-    command, llvm, libatomic = _PACKAGES[manager]
+        return f"install {_WANTED[what]} with the system's package manager"
     sudo = "" if os.geteuid() == 0 else "sudo "
-    return f"{sudo}{command} {llvm if what == 'llvm' else libatomic}"
+    if what == "nvidia" and "ubuntu" in names:
+        return f"{sudo}ubuntu-drivers install"
+    command, *packages = _PACKAGES[manager]
+    return f"{sudo}{command} {packages[list(_WANTED).index(what)]}"

@@ -21,11 +21,13 @@ __all__ = [
     "VARIABLE",
     "check",
     "import_mitsuba",
+    "llvm_origin",
     "llvm_path",
     "llvm_problem",
     "llvm_version",
     "prepare",
     "usable_variants",
+    "variable_is_users",
 ]
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -100,13 +102,28 @@ def llvm_path() -> str | None:
     return paths[0] if paths else None
 
 
+def variable_is_users() -> bool:
+    """Tell whether ``DRJIT_LIBLLVM_PATH`` is set, and not by `prepare`."""
+    named = os.environ.get(VARIABLE)
+    return bool(named) and (_ours is None or named != _ours.path)
+
+
+def llvm_origin() -> str:
+    """Return in words who chose the LLVM that Dr.Jit loaded."""
+    if variable_is_users():
+        return VARIABLE
+    if _ours is not None:
+        return f"mitsuba_bezier, from {_ours.origin}"
+    return "Dr.Jit, which was imported first" if _late else "Dr.Jit"
+
+
 def llvm_problem() -> str | None:
     """Return what is wrong with Dr.Jit's LLVM and what to do about it, or None if it will do."""
     version = llvm_version()
     if version is not None and version[0] >= _llvm.MINIMUM:
         return None
     named = os.environ.get(VARIABLE)
-    by_user = bool(named) and (_ours is None or named != _ours.path)
+    by_user = variable_is_users()
     path = llvm_path()
     if version is not None:
         got = f"{'.'.join(map(str, version))}" + (f" ({path})" if path else "")
@@ -172,6 +189,8 @@ def check(variant: str | None) -> None:
         got = "none; choose one, e.g. mi.set_variant('llvm_ad_rgb')"
     elif variant.startswith("scalar_"):
         got = f"{variant}, which cannot run a Dr.Jit kernel"
+    elif variant.startswith("cuda_") and variant in known:
+        got = f"{variant}, but there is no GPU with a CUDA driver that Dr.Jit can use"
     else:
         got = variant
     raise VariantError.expected("variant", expected, got)

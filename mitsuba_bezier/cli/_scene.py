@@ -1,0 +1,141 @@
+"""Load a Mitsuba scene file for rendering, with an integrator that sees Bézier shapes.
+
+The parsed scene is edited before anything is built: only there the name of a plugin can be
+exchanged while all its parameters, from whatever included file or default they come, stay.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .._runtime import import_mitsuba
+from ..errors import FileFormatError
+
+__all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "load"]
+
+SHAPE = "beziertriangle"
+
+#: Integrators that intersect rays with the exact surfaces.
+SEES_BEZIER = ("bezierpath",)
+
+#: Mitsuba's integrators that have an equal among ours, with the same parameters.
+REPLACED = {"path": "bezierpath"}
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A scene, its integrator, and what the user should be told about the choice."""
+
+    scene: Any
+    integrator: Any
+    integrator_name: str
+    notes: tuple[str, ...]
+
+
+def load(
+    path: str | Path,
+    variant: str,
+    defines: Mapping[str, str] | None = None,
+    search_paths: Sequence[str | Path] = (),
+) -> Loaded:
+    """Load a scene file under the variant that is set.
+
+    Parameters
+    ----------
+    path : path
+        The XML file.
+    variant : str
+        The name of the variant that is set.
+    defines : mapping, optional
+        Values of the ``$parameters`` of the scene.
+    search_paths : sequence of paths, optional
+        More folders in which files named by the scene are looked for.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, Mitsuba cannot load it, it is no scene, or its integrator cannot
+        see the Bézier shapes that it has.
+    """
+    mi = import_mitsuba()
+    path = Path(path)
+    if not path.is_file():
+        raise FileFormatError.expected("SCENE", "an existing scene file (.xml)", f"{path}")
+    config = mi.parser.ParserConfig(variant)
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    for folder in (path.resolve().parent, *reversed(search_paths)):
+        resolver.prepend(str(folder))
+    mi.set_file_resolver(resolver)
+    try:
+        state = _guarded(path, mi.parser.parse_file, config, str(path), **(defines or {}))
+        _guarded(path, mi.parser.transform_all, config, state)
+        name, notes = _choose_integrator(mi, state)
+        built = _guarded(path, mi.parser.instantiate, config, state)
+        scene = built[0] if isinstance(built, list) and len(built) == 1 else built
+        if not isinstance(scene, mi.Scene):
+            raise FileFormatError.expected("SCENE", "a file whose root is <scene>", f"{path}")
+        integrator = scene.integrator() or mi.load_dict({"type": name})
+    finally:
+        mi.set_file_resolver(before)
+    return Loaded(scene, integrator, name, tuple(notes))
+
+
+def _guarded(path: Path, step: Any, *args: Any, **kwargs: Any) -> Any:
+    """Run a step of Mitsuba's loader; what it throws becomes one line of ours."""
+    try:
+        return step(*args, **kwargs)
+    except Exception as error:
+        raise FileFormatError.expected(
+            "SCENE", "a scene that Mitsuba can load", f"{path}: {_one_line(str(error))}"
+        ) from error
+
+
+def _one_line(message: str) -> str:
+    """Reduce a message of the loader to one line without source positions and tracebacks."""
+    message = re.sub(r"\x1b\[[0-9;]*m", "", message)
+    message = re.sub(r"^\[\w+\.\w+:\d+\] ", "", message)
+    # an error raised by a Python plugin comes as a traceback; its last line is the message
+    message = re.sub(
+        r"Traceback \(most recent call last\):\n(?:[ \t].*\n)*(?:[\w.]+: )?", "", message
+    )
+    return " ".join(message.split())
+
+
+def _top_level(state: Any, node: Any) -> Iterator[Any]:
+    """Yield the nodes that are the scene's own children (`merge` wraps them after merging)."""
+    for key in node.props.keys():  # noqa: SIM118 (Properties is no dict)
+        value = node.props[key]
+        if hasattr(value, "index"):
+            child = state.nodes[value.index()]
+            yield child
+            if child.props.plugin_name() == "merge":
+                yield from _top_level(state, child)
+
+
+def _choose_integrator(mi: Any, state: Any) -> tuple[str, list[str]]:
+    """Exchange the scene's integrator where we have an equal; return its name and notes."""
+    has_bezier = any(node.props.plugin_name() == SHAPE for node in state.nodes)
+    integrators = [
+        node for node in _top_level(state, state.root) if node.type == mi.ObjectType.Integrator
+    ]
+    if not integrators:
+        return SEES_BEZIER[0], [f"the scene names no integrator: rendering with {SEES_BEZIER[0]}"]
+    node = integrators[0]
+    name = node.props.plugin_name()
+    if name in REPLACED:
+        node.props.set_plugin_name(REPLACED[name])
+        note = f"the integrator '{name}' cannot see Bézier shapes: rendering with {REPLACED[name]}"
+        return REPLACED[name], [note]
+    if has_bezier and name not in SEES_BEZIER:
+        names = [*SEES_BEZIER, *(f"{old} (rendered with {new})" for old, new in REPLACED.items())]
+        raise FileFormatError.expected(
+            "integrator",
+            f"{' or '.join(names)}, which see the scene's Bézier shapes",
+            f"{name} at {mi.parser.file_location(state, node)}",
+        )
+    return name, []

@@ -1,0 +1,86 @@
+"""The program ``mitsuba-bezier``: one subcommand a module of this package.
+
+A command module has ``add_parser(subparsers)``, which adds its parser, and ``run(args)``, which
+returns the exit code. It imports Mitsuba in `run` only, so that ``--help`` is fast. To add a
+command, write the module and put its name into `COMMANDS`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from .._version import __version__
+from ..errors import BezierError
+
+__all__ = ["COMMANDS", "main"]
+
+PROGRAM = "mitsuba-bezier"
+
+#: The subcommands, in the order of ``--help``; each is the module of the same name.
+COMMANDS = ("render", "doctor")
+
+EXIT_ERROR = 2
+EXIT_INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors take one line, like all others."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_ERROR, f"{PROGRAM}: error: {message} (see '{self.prog} --help')\n")
+
+
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog=PROGRAM,
+        description="Exact rational Bézier triangles for Mitsuba 3.",
+        epilog=f"'{PROGRAM} COMMAND --help' describes a command.",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    parser.add_argument(
+        "--debug", action="store_true", help="show the traceback of an error, not one line"
+    )
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    # the module of the command that is asked for is enough
+    named = [word for word in argv if not word.startswith("-")][:1]
+    for name in named if named and named[0] in COMMANDS else COMMANDS:
+        import_module(f".{name}", __package__).add_parser(subparsers)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the program and return its exit code.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments, by default those of the process.
+
+    Returns
+    -------
+    int
+        0 on success, 1 if a check of the command failed, 2 on a user's error (told in one line
+        on stderr), 130 after Ctrl-C.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    args = _parser(words).parse_args(words)
+    args.argv = [PROGRAM, *words]
+    args.is_process = argv is None
+    try:
+        return import_module(f".{args.command}", __package__).run(args)
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    except (BezierError, OSError) as error:
+        if args.debug:
+            raise
+        print(f"{PROGRAM}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return EXIT_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

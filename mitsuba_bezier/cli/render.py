@@ -1,0 +1,262 @@
+"""``mitsuba-bezier render``: render a scene file to OpenEXR and PNG."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from .. import _runtime
+from .._version import __version__
+from ..errors import BezierError, RuntimeSetupError
+
+__all__ = ["add_parser", "run"]
+
+DEFAULT_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+
+
+# above, the list of passes of a large film would fill the memory
+MAX_SPP = 10_000_000
+# the header of an EXR file has signed 32-bit integers
+MAX_INT = (1 << 31) - 1
+
+
+def _integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
+    def convert(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = lowest - 1
+        if not lowest <= value <= highest:
+            raise argparse.ArgumentTypeError(
+                f"expected an integer from {lowest} to {highest}, got {text!r}"
+            )
+        return value
+
+    return convert
+
+
+def _define(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not key or not equals:
+        raise argparse.ArgumentTypeError(f"expected KEY=VALUE, got {text!r}")
+    return key, value
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the parser of this command."""
+    parser = subparsers.add_parser(
+        "render",
+        help="render a scene file to OpenEXR and PNG",
+        description="Render a Mitsuba scene (.xml), Bézier shapes and all others, to an OpenEXR "
+        "file with a PNG preview beside it. Mitsuba's integrator 'path' is replaced by "
+        "'bezierpath', which has the same parameters and sees Bézier shapes.",
+    )
+    add = parser.add_argument
+    add("scene", metavar="SCENE", help="the scene file")
+    add("-o", "--output", metavar="OUT.exr", help="default: beside the scene, as SCENE.exr")
+    add("-m", "--mode", metavar="VARIANT", help=f"variant of Mitsuba ({DEFAULT_VARIANTS[0]})")
+    add(
+        "-D",
+        "--define",
+        metavar="KEY=VALUE",
+        type=_define,
+        action="append",
+        default=[],
+        help="value of a $KEY in the scene; may be given several times",
+    )
+    add("-s", "--sensor", metavar="N", type=_integer(0), default=0, help="number of the sensor (0)")
+    add("-a", "--append", metavar="PATHS", default="", help="search paths for files, ';' between")
+    add("-t", "--threads", metavar="N", type=_integer(1), help="number of CPU threads")
+    add("--spp", metavar="N", type=_integer(1, MAX_SPP), help="samples per pixel (the scene's)")
+    add("--seed", metavar="K", type=_integer(0), default=0, help="seed of the render (0)")
+    add(
+        "--spp-per-pass",
+        metavar="N",
+        type=_integer(1, MAX_SPP),
+        help="size of a pass (by film size)",
+    )
+    add("--exposure", metavar="EV", type=float, default=0.0, help="stops, for the preview (0)")
+    level = parser.add_mutually_exclusive_group()
+    level.add_argument("-v", "--verbose", action="count", default=0, help="show Mitsuba's log")
+    level.add_argument("-q", "--quiet", action="store_true", help="show errors only")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Render and write the files; return 0."""
+    scene_file = Path(args.scene)
+    output = Path(args.output) if args.output else scene_file.with_suffix(".exr")
+    from ._images import check_output, write_exr, write_preview
+
+    check_output(output)
+    from . import _passes, _scene
+
+    variant = _set_variant(args.mode)
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_log_level(_log_level(mi, args))
+    if args.threads:
+        dr.set_thread_count(args.threads)
+
+    def say(line: str) -> None:
+        if not args.quiet:
+            print(line, file=sys.stderr)
+
+    folders = [folder for folder in args.append.split(";") if folder]
+    loaded = _scene.load(scene_file, variant, dict(args.define), folders)
+    for note in loaded.notes:
+        say(f"mitsuba-bezier: {note}")
+    sensor = _sensor(loaded.scene, args.sensor)
+    film = sensor.film()
+    spp = args.spp or sensor.sampler().sample_count()
+    passes = _passes.plan(_sampled_pixels(film), spp, variant, args.spp_per_pass)
+
+    started = time.perf_counter()
+    with (
+        _progress(scene_file.name, passes, args.quiet) as (report, stop),
+        _stop_at_once(stop, active=args.is_process),
+    ):
+        rendering = _passes.render(
+            loaded.scene, sensor, loaded.integrator, passes, args.seed, report
+        )
+    seconds = time.perf_counter() - started
+
+    attributes: dict[str, str | int | float] = {
+        "command": shlex.join(args.argv),
+        "integrator": loaded.integrator_name,
+        "spp": rendering.spp,
+        "passes": len(rendering.passes),
+        "seed": args.seed,
+        "variant": variant,
+        "render_seconds": seconds,
+        "version_mitsuba_bezier": __version__,
+        "version_mitsuba": metadata.version("mitsuba"),
+        "version_drjit": metadata.version("drjit"),
+        "version_llvm": ".".join(map(str, _runtime.llvm_version() or ())) or "none",
+    }
+    write_exr(
+        output,
+        rendering.bitmap,
+        attributes,
+        half="component_format = float16" in str(film),
+        size=tuple(film.size()),
+        offset=tuple(film.crop_offset()),
+    )
+    preview = output.with_suffix(".png")
+    shown = write_preview(preview, rendering.bitmap, args.exposure)
+    say(
+        f"mitsuba-bezier: wrote {output}{f' and {preview}' if shown else ' (no colours: no PNG)'}: "
+        f"{rendering.spp} spp, seed {args.seed}, {variant}, {seconds:.1f} s"
+    )
+    return 0
+
+
+def _set_variant(wanted: str | None) -> str:
+    """Set the variant asked for, or the first default that starts, and return it."""
+    mi = _runtime.import_mitsuba()
+    if wanted is None:
+        try:
+            wanted = DEFAULT_VARIANTS[0]
+            _runtime.check(wanted)
+        except RuntimeSetupError:
+            usable = _runtime.usable_variants()
+            wanted = next((name for name in DEFAULT_VARIANTS if name in usable), None)
+            if wanted is None:
+                raise
+    _runtime.check(wanted)
+    mi.set_variant(wanted)
+    return wanted
+
+
+def _log_level(mi: Any, args: argparse.Namespace) -> Any:
+    if args.quiet:
+        return mi.LogLevel.Error
+    levels = [mi.LogLevel.Warn, mi.LogLevel.Info, mi.LogLevel.Debug, mi.LogLevel.Trace]
+    return levels[min(args.verbose, 3)]
+
+
+def _sensor(scene: Any, index: int) -> Any:
+    sensors = scene.sensors()
+    if index >= len(sensors):
+        expected = f"a number below {len(sensors)}" if sensors else "a scene with a sensor"
+        raise BezierError.expected("--sensor", expected, index if sensors else "none")
+    return sensors[index]
+
+
+def _sampled_pixels(film: Any) -> int:
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = film.crop_size()
+    return (int(width) + border) * (int(height) + border)
+
+
+@contextmanager
+def _progress(
+    title: str, passes: list[int], quiet: bool
+) -> Iterator[tuple[Callable[[int], None], Callable[[], None]]]:
+    """Show a progress bar on stderr; give what reports a pass, and what stops the display."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} spp"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=quiet,
+    )
+    with progress:
+        task = progress.add_task(title, total=sum(passes))
+        yield lambda index: progress.advance(task, passes[index]), progress.stop
+
+
+@contextmanager
+def _stop_at_once(stop: Callable[[], None], active: bool) -> Iterator[None]:
+    """Let Ctrl-C end the process within a pass, not seconds later when its kernel is done.
+
+    Python runs signal handlers between bytecodes of the main thread, and that one waits in
+    Dr.Jit. The signal's number, however, is written to a descriptor at once, which a second
+    thread can wait for. No file is open during the passes, so the process may just end.
+    """
+    if not active or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def watch() -> None:
+        while (number := os.read(reading, 1)) and number[0] != signal.SIGINT:
+            pass
+        if number:
+            stop()
+            print("mitsuba-bezier: interrupted, no file was written", file=sys.stderr)
+            sys.stderr.flush()
+            os._exit(130)
+
+    threading.Thread(target=watch, daemon=True).start()
+    descriptor = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    handler = signal.signal(signal.SIGINT, lambda *_: None)  # no KeyboardInterrupt besides
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        signal.set_wakeup_fd(descriptor)
+        os.close(writing)  # ends the thread
