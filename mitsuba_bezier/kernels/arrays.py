@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import drjit as dr
@@ -22,20 +22,24 @@ class Types:
     Bool: Any
     Float64: Any
     Float32: Any
-    ArrayXf: Any
 
 
-@lru_cache(maxsize=None)
+@cache
+def _vector_of(float_type: Any) -> Any:
+    """Return the dynamic vector type over a flat float type, with derivatives if it has them."""
+    name = "ArrayXf64" if float_type is dr.float64_array_t(float_type) else "ArrayXf"
+    return getattr(sys.modules[float_type.__module__], name)
+
+
+@cache
 def _types(float_type: Any) -> Types:
     float_type = dr.detached_t(float_type)
-    name = "ArrayXf64" if float_type is dr.float64_array_t(float_type) else "ArrayXf"
     return Types(
         Float=float_type,
         UInt=dr.uint32_array_t(float_type),
         Bool=dr.mask_t(float_type),
         Float64=dr.float64_array_t(float_type),
         Float32=dr.float32_array_t(float_type),
-        ArrayXf=getattr(sys.modules[float_type.__module__], name),
     )
 
 
@@ -73,13 +77,12 @@ def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> l
     -------
     list of `count` arrays
     """
-    ty = types_of(buffer)
+    vector = _vector_of(type(buffer))
     packets = -(-count // 8)
     out: list[Any] = []
     for p in range(packets):
-        values = dr.gather(
-            ty.ArrayXf, buffer, index * packets + p, active, shape=(8, dr.width(index))
-        )
+        shape = (8, dr.width(index))
+        values = dr.gather(vector, buffer, index * packets + p, active, shape=shape)
         out.extend(values[i] for i in range(8))
     return out[:count]
 

@@ -111,6 +111,7 @@ def _next_leaf(
     s: Structure, ty: Types, node: Any, end: Any, o: Any, d: Any, rcp: Any, t_max: Any, run: Any
 ) -> tuple[Any, Any]:
     """Walk the tree to the next leaf that may be hit; `NO_LEAF` when there is none."""
+
     # candidates of graph leaves are culled by their quadratic inside the same loop
     def body(walk, node, leaf):
         packet = gather_packets(s.nodes, node, NODE, walk)

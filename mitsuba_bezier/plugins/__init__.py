@@ -1,0 +1,54 @@
+"""Mitsuba plugins, registered for each variant; the classes are made when first used."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+
+from .. import _runtime
+
+__all__ = ["register"]
+
+_classes: dict[tuple[str, str], type] = {}
+
+
+def _maker(name: str) -> Any:
+    from .bezierpath import make_path_class
+    from .shape import make_shape_class
+
+    return {"beziertriangle": make_shape_class, "bezierpath": make_path_class}[name]
+
+
+def _instantiate(name: str, props: Any) -> Any:
+    """Make a plugin; a scalar variant ends here, in an error that names the usable ones."""
+    _runtime.check(mi.variant())
+    key = (name, mi.variant())
+    if key not in _classes:
+        _classes[key] = _maker(name)()
+    return _classes[key](props)
+
+
+def _on_variant(_old: str | None, new: str | None) -> None:
+    from .scene_data import clear_cache
+
+    clear_cache()
+    _classes.clear()  # Mitsuba remakes its Python base classes, so ours are remade too
+    if new is None:
+        return
+    mi.register_shape("beziertriangle", lambda props: _instantiate("beziertriangle", props))
+    mi.register_integrator("bezierpath", lambda props: _instantiate("bezierpath", props))
+
+
+_registered = False
+
+
+def register() -> None:
+    """Register the plugins for the variant that is set, and for every later one."""
+    global _registered
+    if _registered:
+        return
+    _registered = True
+    mi.detail.add_variant_callback(_on_variant)
+    if mi.variant() is not None:
+        _on_variant(None, mi.variant())

@@ -1,0 +1,208 @@
+"""The integrator plugin ``bezierpath``: Mitsuba's `path`, with exact Bézier shapes."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import _runtime
+from .emitters import EmitterSampling
+from .scene import SceneRays
+
+__all__ = ["make_path_class"]
+
+
+def make_path_class() -> type:
+    """Return the class for the variant that is set now."""
+    # Mitsuba reloads this module when the variant changes
+    base = import_module("mitsuba.python.ad.integrators.common").RBIntegrator
+
+    class BezierPath(base):  # type: ignore[misc, valid-type]
+        r"""
+        .. _integrator-bezierpath:
+
+        Path tracer with Bézier shapes (:monosp:`bezierpath`)
+        -----------------------------------------------------
+
+        .. pluginparameters::
+
+         * - max_depth
+           - |int|
+           - Longest path depth in the image, -1 for no limit; 1 shows directly visible
+             emitters only, 2 direct light, and so on (Default: -1).
+         * - rr_depth
+           - |int|
+           - Path depth from which Russian roulette ends paths (Default: 5).
+         * - hide_emitters
+           - |bool|
+           - Hide directly visible emitters (Default: |false|).
+
+        Samples BSDFs and emitters and combines both by multiple importance sampling, as
+        Mitsuba's `path` does, whose parameters and defaults it has. It sees `beziertriangle`
+        shapes exactly, and every other shape of Mitsuba.
+        """
+
+        def __init__(self, props: mi.Properties) -> None:
+            _runtime.check(mi.variant())
+            # the base class has `path`'s rule for -1 but other defaults
+            for key, default in (("max_depth", -1), ("rr_depth", 5)):
+                if key not in props:
+                    props[key] = default
+            super().__init__(props)
+
+        def sample(
+            self,
+            mode: Any,
+            scene: Any,
+            sampler: Any,
+            ray: Any,
+            δL: Any = None,
+            state_in: Any = None,
+            active: Any = True,
+            **kwargs: Any,
+        ) -> tuple:
+            """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
+            if mode != dr.ADMode.Primal:
+                raise NotImplementedError("bezierpath: derivatives are not implemented yet")
+            L, valid = _trace(self, scene, sampler, ray, active)
+            return L, valid, [], L
+
+        def to_string(self) -> str:
+            return (
+                f"BezierPath[\n  max_depth = {self.max_depth},\n"
+                f"  rr_depth = {self.rr_depth},\n  hide_emitters = {self.hide_emitters}\n]"
+            )
+
+    return BezierPath
+
+
+def mis_weight(pdf_a: Any, pdf_b: Any) -> Any:
+    """Return the weight of strategy a under the power heuristic."""
+    a2 = dr.square(pdf_a)
+    return dr.detach(dr.select(pdf_a > 0, a2 / dr.fma(pdf_b, pdf_b, a2), 0), True)
+
+
+def _skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
+    """Move rays past directly visible area lights; return the rays."""
+    hit = rays.preliminary(ray, True, active)
+    seen = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & active  # noqa: E711
+
+    def body(ray: Any, seen: Any) -> tuple:
+        si = rays.intersect(ray, mi.RayFlags.Minimal, True, seen)
+        moved = si.spawn_ray(ray.d)
+        ray.o = dr.select(seen, moved.o, ray.o)
+        hit = rays.preliminary(ray, True, seen)
+        again = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & seen  # noqa: E711
+        return ray, again
+
+    ray, _seen = dr.while_loop(
+        (ray, seen), cond=lambda ray, seen: seen, body=body, label="bezierpath: hide emitters"
+    )
+    return ray
+
+
+def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, Any]:
+    """Trace one path a lane; return its radiance and whether it met anything."""
+    rays = SceneRays(scene)
+    emitters = EmitterSampling(rays)
+    context = mi.BSDFContext()
+    max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
+    hide = integrator.hide_emitters
+
+    ray = mi.Ray3f(dr.detach(ray))
+    active = mi.Bool(active)
+    if hide:
+        ray = _skip_emitters(rays, ray, active)
+
+    state = {
+        "ray": ray,
+        "throughput": mi.Spectrum(1.0),
+        "result": mi.Spectrum(0.0),
+        "eta": mi.Float(1.0),
+        "depth": mi.UInt32(0),
+        "valid": mi.Bool(False),
+        "active": active,
+        "prev_si": dr.zeros(mi.Interaction3f),
+        "prev_pdf": mi.Float(1.0),
+        "prev_delta": mi.Bool(True),
+        "sampler": sampler,
+    }
+
+    def body(st: dict) -> tuple[dict]:
+        st = dict(st)
+        ray, sampler, active = st["ray"], st["sampler"], st["active"]
+        si = rays.intersect(ray, mi.RayFlags.All, False, active)
+
+        # ---- emission met by the BSDF's sample
+        emitter = si.emitter(scene, active)
+        prev = dr.zeros(mi.SurfaceInteraction3f)
+        prev.p, prev.n, prev.time = st["prev_si"].p, st["prev_si"].n, st["prev_si"].time
+        prev.wavelengths = st["prev_si"].wavelengths
+        ds = mi.DirectionSample3f(scene, si=si, ref=prev)
+        emits = active & (emitter != None)  # noqa: E711
+        if hide:
+            emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
+        pdf = emitters.pdf(prev, ds, si, emits & ~st["prev_delta"])
+        weight = mis_weight(st["prev_pdf"], pdf)
+        result = st["result"] + dr.select(
+            emits, st["throughput"] * ds.emitter.eval(si, emits) * weight, 0.0
+        )
+
+        active_next = active & (st["depth"] + 1 < max_depth) & si.is_valid()
+        bsdf = si.bsdf(ray)
+
+        # ---- a sample of the emitters
+        smooth = active_next & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        ds, em_weight = emitters.sample(si, sampler.next_2d(active_next), smooth)
+        smooth = smooth & (ds.pdf != 0.0)
+        shadow = si.spawn_ray_to(ds.p)
+        smooth = smooth & ~rays.test(shadow, smooth)
+        wo = si.to_local(ds.d)
+        value, pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
+            context, si, wo, sampler.next_1d(active_next), sampler.next_2d(active_next), active_next
+        )
+        value = si.to_world_mueller(value, -wo, si.wi)
+        mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
+        result = result + dr.select(smooth, st["throughput"] * value * em_weight * mis, 0.0)
+
+        # ---- the next ray
+        bsdf_weight = si.to_world_mueller(bsdf_weight, -sample.wo, si.wi)
+        ray = si.spawn_ray(si.to_world(sample.wo))
+        throughput = st["throughput"] * bsdf_weight
+        eta = st["eta"] * sample.eta
+        null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        valid = st["valid"] | (active & si.is_valid() & ~null)
+        depth = dr.select(si.is_valid(), st["depth"] + 1, st["depth"])
+
+        # ---- Russian roulette; eta^2 undoes the solid angle compression of refraction
+        strongest = dr.max(mi.unpolarized_spectrum(throughput))
+        survive = dr.minimum(strongest * dr.square(eta), 0.95)
+        roulette = depth >= rr_depth
+        goes_on = sampler.next_1d(active_next) < survive
+        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
+        active_next = active_next & (~roulette | goes_on) & (strongest != 0.0)
+
+        prev_si = dr.zeros(mi.Interaction3f)
+        prev_si.p, prev_si.n, prev_si.time = si.p, si.n, si.time
+        prev_si.wavelengths, prev_si.t = si.wavelengths, si.t
+        return (
+            {
+                "ray": ray,
+                "throughput": throughput,
+                "result": result,
+                "eta": eta,
+                "depth": depth,
+                "valid": valid,
+                "active": active_next,
+                "prev_si": prev_si,
+                "prev_pdf": sample.pdf,
+                "prev_delta": mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),
+                "sampler": sampler,
+            },
+        )
+
+    (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label="bezierpath")
+    return state["result"], state["valid"]

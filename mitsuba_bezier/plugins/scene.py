@@ -1,0 +1,93 @@
+"""Ray queries on a whole scene: Bézier shapes and all other shapes of Mitsuba."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from .. import _runtime
+from .scene_data import Preliminary, SceneData, data_for_scene
+
+__all__ = ["SceneRays", "ray_intersect", "ray_test"]
+
+
+class SceneRays:
+    """The ray queries of `mi.Scene`, with exact patches. Made once for a render."""
+
+    def __init__(self, scene: Any) -> None:
+        _runtime.check(mi.variant())
+        self.scene = scene
+        self.data: SceneData | None = data_for_scene(scene)
+
+    def preliminary(self, ray: Any, coherent: bool = False, active: Any = True) -> Preliminary:
+        """Return the nearest hit."""
+        if self.data is not None and not self.data.scene_has_others:
+            return self.data.preliminary(ray, active)
+        pi = self.scene.ray_intersect_preliminary(
+            ray, coherent=coherent, reorder=False, active=active
+        )
+        if self.data is None:
+            return Preliminary(pi, mi.Bool(False), mi.UInt32(0))
+        return self.data.preliminary(ray, active, pi)
+
+    def surface_interaction(
+        self, hit: Preliminary, ray: Any, flags: Any = None, active: Any = True
+    ) -> Any:
+        """Return the full interaction."""
+        flags = mi.RayFlags.All if flags is None else flags
+        if self.data is None:
+            return hit.pi.compute_surface_interaction(ray, flags, active)
+        ours = self.data.surface_interaction(hit, ray, flags, active)
+        if not self.data.scene_has_others:
+            return ours
+        theirs = hit.pi.compute_surface_interaction(ray, flags, mi.Bool(active) & ~hit.bezier)
+        return dr.select(hit.bezier, ours, theirs)
+
+    def intersect(
+        self, ray: Any, flags: Any = None, coherent: bool = False, active: Any = True
+    ) -> Any:
+        """Return the nearest `mi.SurfaceInteraction3f`."""
+        return self.surface_interaction(self.preliminary(ray, coherent, active), ray, flags, active)
+
+    def test(self, ray: Any, active: Any = True) -> Any:
+        """Return whether anything is hit before ``ray.maxt``."""
+        if self.data is None:
+            return self.scene.ray_test(ray, active=active)
+        if not self.data.scene_has_others:
+            return self.data.test(ray, active)
+        blocked = self.scene.ray_test(ray, active=active)
+        return blocked | self.data.test(ray, mi.Bool(active) & ~blocked)
+
+
+def ray_intersect(
+    scene: Any, ray: Any, ray_flags: Any = None, coherent: bool = False, active: Any = True
+) -> Any:
+    """Intersect rays with all shapes of a scene, Bézier or not.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    ray : mi.Ray3f
+    ray_flags : mi.RayFlags, optional
+        What to compute; default ``All``.
+    coherent : bool
+        Whether the rays are coherent (a hint for Mitsuba's own shapes).
+    active : mi.Bool
+
+    Returns
+    -------
+    mi.SurfaceInteraction3f
+
+    Raises
+    ------
+    VariantError
+        In a variant that cannot run a Dr.Jit kernel.
+    """
+    return SceneRays(scene).intersect(ray, ray_flags, coherent, active)
+
+
+def ray_test(scene: Any, ray: Any, active: Any = True) -> Any:
+    """Return whether rays are blocked by any shape of a scene; see `ray_intersect`."""
+    return SceneRays(scene).test(ray, active)

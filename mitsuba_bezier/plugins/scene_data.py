@@ -1,0 +1,203 @@
+"""All Bézier shapes of a scene as one structure, and what a hit means to Mitsuba."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..geometry.leaves import Leaves, build_leaves
+from ..kernels.arrays import types_of, upload
+from ..kernels.patch import affine_partials, evaluate, pack
+from ..kernels.structure import build_structure
+from ..kernels.traverse import intersect
+
+__all__ = ["Preliminary", "SceneData", "data_for_scene", "data_for_shapes"]
+
+
+@dataclass
+class Preliminary:
+    """A hit of either kind: Mitsuba's record, and the patch where it is one of ours."""
+
+    pi: Any  #: mi.PreliminaryIntersection3f; prim_uv and prim_index are set for patches too
+    bezier: Any  #: Bool
+    patch: Any  #: UInt, number among all patches of the structure
+
+    DRJIT_STRUCT = {"pi": Any, "bezier": Any, "patch": Any}
+
+
+class SceneData:
+    """Structure, nets and tables of a list of Bézier shapes.
+
+    Parameters
+    ----------
+    shapes : list of BezierTriangle
+    indices : list of int, optional
+        Their places in the scene's shape list; needed with `scene`.
+    scene : mi.Scene, optional
+    """
+
+    def __init__(self, shapes: list[Any], indices: list[int], scene: Any = None) -> None:
+        self.shapes = shapes
+        self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
+        parts, patch_shape, patch_first = [], [], []
+        first = 0
+        for number, shape in enumerate(shapes):
+            leaves = build_leaves(shape.patches)
+            leaves.patch = leaves.patch + first
+            parts.append(leaves)
+            patch_shape += [number] * len(shape.patches)
+            patch_first += [first] * len(shape.patches)
+            first += len(shape.patches)
+        self.structure = build_structure(Leaves.join(parts), mi.Float)
+        self.degree = max(shape.patches.degree for shape in shapes)
+        nets = [
+            pack(s.patches.elevate(self.degree - s.patches.degree).control_points) for s in shapes
+        ]
+        self.nets = upload(mi.Float, np.concatenate(nets))
+        self.patch_shape = upload(mi.UInt32, np.array(patch_shape))
+        self.patch_first = upload(mi.UInt32, np.array(patch_first))
+        self.orientation = upload(mi.Float, np.array([s.orientation for s in shapes]))
+        if scene is not None:
+            pointers = scene.shapes_dr()
+            self.pointers = dr.gather(mi.ShapePtr, pointers, mi.UInt32(indices))
+        else:
+            self.pointers = mi.ShapePtr(shapes[0])
+        dr.eval(self.pointers)
+
+    # ------------------------------------------------------------------ queries
+
+    def preliminary(self, ray: Any, active: Any = True, pi: Any = None) -> Preliminary:
+        """Return the nearest hit, of `pi` (Mitsuba's own, if given) and of our patches."""
+        with dr.suspend_grad():
+            ray_maxt = mi.Float(ray.maxt) if pi is None else dr.minimum(ray.maxt, pi.t)
+            ty = types_of(mi.Float)
+            hit = intersect(
+                self.structure,
+                [ty.Float(dr.detach(ray.o[i], False)) for i in range(3)],
+                [ty.Float(dr.detach(ray.d[i], False)) for i in range(3)],
+                dr.detach(ray_maxt, False),
+                dr.detach(mi.Bool(active), False),
+            )
+            valid = mi.Bool(hit.valid)
+            patch = mi.UInt32(hit.patch)
+            if pi is None:
+                pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(valid))
+                pi.t = dr.inf
+            pi = mi.PreliminaryIntersection3f(pi)
+            index = dr.gather(mi.UInt32, self.patch_shape, patch, valid)
+            first = dr.gather(mi.UInt32, self.patch_first, patch, valid)
+            pi.t = dr.select(valid, mi.Float(hit.t), pi.t)
+            pi.prim_uv = dr.select(valid, mi.Point2f(hit.u, hit.v), pi.prim_uv)
+            pi.prim_index = dr.select(valid, patch - first, pi.prim_index)
+            pi.shape = dr.select(
+                valid, dr.gather(mi.ShapePtr, self.pointers, index, valid), pi.shape
+            )
+            pi.instance = dr.select(valid, dr.zeros(mi.ShapePtr), pi.instance)
+            return Preliminary(pi, valid, patch)
+
+    def test(self, ray: Any, active: Any = True) -> Any:
+        """Return whether a ray hits any patch before ``ray.maxt``."""
+        with dr.suspend_grad():
+            hit = intersect(
+                self.structure,
+                [dr.detach(ray.o[i], False) for i in range(3)],
+                [dr.detach(ray.d[i], False) for i in range(3)],
+                dr.detach(mi.Float(ray.maxt), False),
+                dr.detach(mi.Bool(active), False),
+                any_hit=True,
+            )
+            return mi.Bool(hit.valid)
+
+    def surface_interaction(self, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Any:
+        """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere."""
+        ours = hit.bezier & mi.Bool(active)
+        pi = hit.pi
+        u, v = pi.prim_uv.x, pi.prim_uv.y
+        p, pu, pv = self._partials(hit.patch, u, v, ours)
+        n = dr.cross(pu, pv)
+        # collapsed edges and corners: the limit from inside
+        flat = ours & ~(dr.squared_norm(n) > 1e-10 * dr.squared_norm(pu) * dr.squared_norm(pv))
+        n = dr.if_stmt(
+            args=(n, hit.patch, u, v, flat),
+            cond=flat,
+            true_fn=lambda n, patch, u, v, flat: self._limit_normal(n, patch, u, v, flat),
+            false_fn=lambda n, patch, u, v, flat: n,
+        )
+        number = dr.gather(mi.UInt32, self.patch_shape, hit.patch, ours)
+        n = dr.normalize(n) * dr.gather(mi.Float, self.orientation, number, ours)
+
+        si = dr.zeros(mi.SurfaceInteraction3f, dr.width(pi.t))
+        si.t = dr.select(ours, pi.t, dr.inf)
+        si.p = dr.select(ours, p, 0.0)
+        si.n = dr.select(ours, mi.Normal3f(n), 0.0)
+        si.uv = dr.select(ours, mi.Point2f(u, v), 0.0)
+        si.dp_du = dr.select(ours, pu, 0.0)
+        si.dp_dv = dr.select(ours, pv, 0.0)
+        si.sh_frame.n = si.n
+        si.time = ray.time
+        si.wavelengths = ray.wavelengths
+        si.shape = dr.select(ours, pi.shape, dr.zeros(mi.ShapePtr))
+        si.prim_index = dr.select(ours, pi.prim_index, 0)
+        si.initialize_sh_frame()
+        si.wi = dr.select(ours, si.to_local(-ray.d), -ray.d)
+        return si
+
+    def _partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
+        value = evaluate(self.nets, self.degree, patch, u, v, active)
+        p, pu, pv = affine_partials(*value)
+        return mi.Point3f(*p), mi.Vector3f(*pu), mi.Vector3f(*pv)
+
+    def _limit_normal(self, n: Any, patch: Any, u: Any, v: Any, flat: Any) -> Any:
+        step = 1e-3  # far enough for float32 to see an angle, near enough to be the limit
+        _p, pu, pv = self._partials(patch, u + step * (1 / 3 - u), v + step * (1 / 3 - v), flat)
+        inner = dr.cross(pu, pv)
+        return dr.select(dr.squared_norm(inner) > 0, inner, mi.Vector3f(0, 0, 1))
+
+
+# ---------------------------------------------------------------------- cache
+
+_cache: OrderedDict[tuple, SceneData] = OrderedDict()
+_CACHE_SIZE = 8
+
+
+def _cached(key: tuple, make: Any) -> SceneData:
+    if key in _cache:
+        _cache.move_to_end(key)
+        return _cache[key]
+    data = make()
+    _cache[key] = data
+    while len(_cache) > _CACHE_SIZE:
+        _cache.popitem(last=False)
+    return data
+
+
+def clear_cache() -> None:
+    """Drop all structures; their arrays belong to a variant."""
+    _cache.clear()
+
+
+def is_bezier(shape: Any) -> bool:
+    """Tell whether a shape of the scene is one of ours."""
+    return hasattr(shape, "patches") and hasattr(shape, "orientation")
+
+
+def data_for_shapes(shapes: list[Any]) -> SceneData:
+    """Return the structure of a list of shapes, built once for their present state."""
+    key = (mi.variant(), *(s.version for s in shapes))
+    return _cached(key, lambda: SceneData(shapes, list(range(len(shapes)))))
+
+
+def data_for_scene(scene: Any) -> SceneData | None:
+    """Return the structure of a scene's Bézier shapes, or None if it has none."""
+    every = scene.shapes()
+    indices = [i for i, s in enumerate(every) if is_bezier(s)]
+    if not indices:
+        return None
+    shapes = [every[i] for i in indices]
+    key = (mi.variant(), scene.ptr, *(s.version for s in shapes))
+    return _cached(key, lambda: SceneData(shapes, indices, scene))

@@ -1,0 +1,227 @@
+"""The shape plugin ``beziertriangle``."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from .. import _runtime
+from ..errors import NetError
+from ..geometry.triangles import BezierTriangles
+
+__all__ = ["make_shape_class"]
+
+_versions = itertools.count(1)
+
+
+def make_shape_class() -> type:
+    """Return the class for the variant that is set now."""
+
+    class BezierTriangle(mi.Mesh):  # type: ignore[name-defined, misc]
+        r"""
+        .. _shape-beziertriangle:
+
+        Rational Bézier triangles (:monosp:`beziertriangle`)
+        ----------------------------------------------------
+
+        .. pluginparameters::
+
+         * - control_points
+           - |tensor|
+           - Homogeneous control points :math:`(wx, wy, wz, w)` of shape ``(P, K, 4)`` with
+             ``K = (n+1)(n+2)/2`` (|exposed|, |differentiable|, |discontinuous|). Weights may
+             be zero (a point at infinity) or negative.
+         * - filename
+           - |string|
+           - A file of Bézier triangles instead; see `mitsuba_bezier.load`.
+         * - to_world
+           - |transform|
+           - Affine map from object to world space (Default: none, |exposed|).
+         * - flip_normals
+           - |bool|
+           - Turn the normals, which follow :math:`\partial_u p \times \partial_v p`
+             (Default: |false|).
+         * - (Nested plugin)
+           - |bsdf|, |emitter|, |medium|
+           - As for Mitsuba's own shapes.
+
+        Rays meet the patches themselves. Mitsuba's C++ integrators do not see them: use
+        `bezierpath`.
+        """
+
+        def __init__(self, props: mi.Properties) -> None:
+            _runtime.check(mi.variant())
+            patches = _read(props)
+            self._object_to_world = np.array(
+                props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64
+            )
+            flip = bool(props.get("flip_normals", False))
+            for key in ("control_points", "filename", "to_world", "flip_normals"):
+                if key in props:
+                    props.remove_property(key)
+            self._plain_mesh = True
+            super().__init__(props)
+            self._plain_mesh = False
+            self._flip = flip
+            self.control_points = _tensor(patches.control_points)
+            self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
+            self._object = patches
+            # A mesh attribute keeps Mitsuba's loader from merging shapes that share a BSDF
+            # into one plain mesh.
+            self.add_attribute("face_bezier", 1, [0.0])
+            self._commit(patches, self._object_to_world)
+
+        def _commit(self, patches: BezierTriangles, matrix: np.ndarray) -> None:
+            """Take over a new valid state."""
+            world = patches.transform(matrix)
+            self._object, self._object_to_world, self.patches = patches, matrix, world
+            mirrored = np.linalg.det(matrix[:3, :3]) < 0
+            #: Sign of the normal along dp_du x dp_dv: a mirror image keeps its outside out.
+            self.orientation = -1.0 if mirrored != self._flip else 1.0
+            self.version = next(_versions)
+            self._set_box(finite_bounds(world))
+
+        def _set_box(self, box: np.ndarray) -> None:
+            """Give the mesh base class the corners of the box, so that the scene's is right.
+
+            All faces are degenerate: Embree and OptiX never hit them.
+            """
+            corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
+            self._plain_mesh = True
+            try:
+                params = mi.traverse(self)
+                params["vertex_positions"] = mi.Float(corners.ravel().astype(np.float32))
+                params["faces"] = mi.UInt32([0, 0, 0])
+                params.update()
+            finally:
+                self._plain_mesh = False
+
+        # ------------------------------------------------------------ mi.Object
+
+        def traverse(self, cb: Any) -> None:
+            if self._plain_mesh:
+                super().traverse(cb)
+                return
+            edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
+            cb.put("control_points", self.control_points, edges)
+            cb.put("to_world", self.to_world, edges)
+            for name, child in (
+                ("bsdf", self.bsdf()),
+                ("emitter", self.emitter()),
+                ("interior_medium", self.interior_medium()),
+                ("exterior_medium", self.exterior_medium()),
+            ):
+                if child is not None:
+                    cb.put(name, child, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: Any = ()) -> None:
+            if self._plain_mesh:
+                super().parameters_changed(keys)
+                return
+            if keys and not {"control_points", "to_world"} & set(keys):
+                return
+            matrix = np.array(self.to_world.matrix, dtype=np.float64)
+            if matrix.ndim == 3:
+                matrix = matrix[..., 0]
+            tensor = self.control_points
+            values = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
+            try:
+                # float64 values from a file or a builder stay, as long as nobody changed them
+                same = values.shape == self._object.control_points.shape and np.array_equal(
+                    values.astype(np.float32), self._object.control_points.astype(np.float32)
+                )
+                patches = self._object if same else BezierTriangles(values)
+                if not np.isfinite(matrix).all() or (matrix[3] != (0, 0, 0, 1)).any():
+                    raise NetError.expected(
+                        "to_world", "a finite affine transformation", matrix.tolist()
+                    )
+                self._commit(patches, matrix)
+            except NetError:
+                self.control_points = _tensor(self._object.control_points)
+                self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
+                raise
+
+        def to_string(self) -> str:
+            return (
+                f"BezierTriangle[\n  patches = {len(self.patches)},\n"
+                f"  degree = {self.patches.degree},\n  bbox = {self.bbox()},\n"
+                f"  bsdf = {self.bsdf()}\n]"
+            )
+
+        __repr__ = to_string
+
+        # ------------------------------------------------------------ mi.Shape
+
+        def primitive_count(self) -> int:
+            return len(self.patches)
+
+        effective_primitive_count = primitive_count
+
+        def surface_area(self) -> Any:
+            return mi.Float(float(self.patches.area().sum()))
+
+        def _alone(self) -> Any:
+            from .scene_data import data_for_shapes
+
+            return data_for_shapes([self])
+
+        def ray_intersect_preliminary(self, ray: Any, active: Any = True) -> Any:
+            """Return the nearest hit as `mi.PreliminaryIntersection3f`."""
+            return self._alone().preliminary(ray, active).pi
+
+        def ray_intersect(self, ray: Any, flags: Any = None, active: Any = True) -> Any:
+            """Return the nearest hit as `mi.SurfaceInteraction3f`."""
+            data = self._alone()
+            hit = data.preliminary(ray, active)
+            flags = mi.RayFlags.All if flags is None else flags
+            return data.surface_interaction(hit, ray, flags, active)
+
+        def ray_test(self, ray: Any, active: Any = True) -> Any:
+            """Return whether the ray hits."""
+            return self._alone().test(ray, active)
+
+    return BezierTriangle
+
+
+def finite_bounds(patches: BezierTriangles) -> np.ndarray:
+    """Return one box ``(2, 3)``, of the finite control points where patches run to infinity."""
+    box = patches.bounds()
+    lo, hi = box[:, 0], box[:, 1]
+    if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
+        net = patches.control_points.reshape(-1, 4)
+        net = net[net[:, 3] != 0]
+        points = net[:, :3] / net[:, 3:] if len(net) else np.array([[-1.0] * 3, [1.0] * 3])
+        lo = np.where(np.isfinite(lo), lo, points.min(axis=0))
+        hi = np.where(np.isfinite(hi), hi, points.max(axis=0))
+    return np.stack([lo.min(axis=0), hi.max(axis=0)])
+
+
+def _tensor(values: np.ndarray) -> Any:
+    return mi.TensorXf(values.astype(np.float32).ravel(), shape=values.shape)
+
+
+def _read(props: mi.Properties) -> BezierTriangles:
+    """Take the net from exactly one of ``control_points`` and ``filename``."""
+    has = [key for key in ("control_points", "filename") if key in props]
+    if len(has) != 1:
+        raise NetError.expected(
+            "beziertriangle",
+            'exactly one of the parameters "control_points" and "filename"',
+            "both" if has else "neither",
+        )
+    if has == ["control_points"]:
+        tensor = props["control_points"]
+        if isinstance(tensor, BezierTriangles):
+            return tensor
+        shape = getattr(tensor, "shape", None)
+        values = np.array(tensor, dtype=np.float64)
+        return BezierTriangles(values.reshape(shape) if shape is not None else values)
+    from ..io import load
+
+    name = props["filename"]
+    if not isinstance(name, str):
+        raise NetError.expected("filename", "the name of a file", repr(name))
+    return load(mi.file_resolver().resolve(name))
