@@ -1,0 +1,47 @@
+"""What all tests share. Importing the package first lets it choose Dr.Jit's LLVM."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from subprocess import CompletedProcess
+
+import pytest
+from hypothesis import settings
+
+import mitsuba_bezier  # before anything imports Dr.Jit
+
+# the same examples on every run; no deadline, since the first call of a kernel compiles it
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.load_profile("fixed")
+
+
+@pytest.fixture(scope="session")
+def python() -> Callable[..., CompletedProcess[str]]:
+    """Run code in a fresh interpreter: ``python(code, {"VARIABLE": value or None})``.
+
+    ``DRJIT_LIBLLVM_PATH`` is unset there unless it is given.
+    """
+    import os
+    import subprocess
+    import sys
+    from pathlib import Path
+
+    root = str(Path(mitsuba_bezier.__file__).parents[1])
+
+    def run(
+        code: str, variables: Mapping[str, str | None] | None = None, *arguments: str
+    ) -> CompletedProcess[str]:
+        environment: dict[str, str] = dict(os.environ, PYTHONPATH=root)
+        for name, value in {"DRJIT_LIBLLVM_PATH": None, **(variables or {})}.items():
+            environment.pop(name, None)
+            if value is not None:
+                environment[name] = value
+        return subprocess.run(
+            [sys.executable, "-c", code, *arguments],
+            capture_output=True,
+            text=True,
+            timeout=120,
+            env=environment,
+        )
+
+    return run
