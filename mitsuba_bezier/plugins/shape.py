@@ -224,4 +224,4 @@ def _read(props: mi.Properties) -> BezierTriangles:
     name = props["filename"]
     if not isinstance(name, str):
         raise NetError.expected("filename", "the name of a file", repr(name))
-    return load(mi.file_resolver().resolve(name))
+    return load(str(mi.file_resolver().resolve(name)))
