@@ -1,4 +1,4 @@
-"""Closed covers of the sphere by rational Bézier triangles."""
+"""Closed covers of the sphere, and of every other oval quadric, by rational Bézier triangles."""
 
 from __future__ import annotations
 
@@ -9,10 +9,29 @@ import numpy as np
 
 from ..errors import GeometryError
 from . import bernstein
+from .checks import finite_array, length, vector
+from .quadric_types import (
+    classify_quadric,
+    collineation_to_paraboloid,
+    normal_form,
+    projective_type,
+)
 from .quadrics import quadric_patch
+from .tensor import tensor_to_triangles
 from .triangles import BezierTriangles
 
-__all__ = ["octants", "sphere", "tetrahedral"]
+__all__ = [
+    "arc_tangent",
+    "lune_between",
+    "lunes",
+    "octants",
+    "quadric_cover",
+    "ruled_cover",
+    "sphere",
+    "sphere_face",
+    "sphere_lune",
+    "tetrahedral",
+]
 
 _UNIT_SPHERE = np.diag([1.0, 1.0, 1.0, -1.0])
 
@@ -21,7 +40,7 @@ def octants() -> BezierTriangles:
     """Return the eight octants of the unit sphere as quartic patches.
 
     Farin, Piper, Worsey, "The octant of a sphere as a non-degenerate triangular Bézier patch",
-    CAGD 4 (1987).
+    Computer Aided Geometric Design 4 (1987).
     """
     r2, r3 = np.sqrt(2.0), np.sqrt(3.0)
     a = (r3 - 1) / r3
@@ -56,44 +75,121 @@ def tetrahedral() -> BezierTriangles:
     """
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
     triples = [(1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)]  # outward, opposite corner 0 .. 3
-    nets = [face(corners[list(t)], corners[k]) for k, t in enumerate(triples)]
+    nets = [sphere_face(corners[list(t)], corners[k]) for k, t in enumerate(triples)]
     for i, j in combinations(range(4), 2):
         k, l = (m for m in range(4) if m not in (i, j))
-        nets.append(lune(corners[i], corners[j], corners[k], corners[l]))
+        nets.append(sphere_lune(corners[i], corners[j], corners[k], corners[l]))
     return BezierTriangles(nets)
 
 
-def face(corners: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Return the net ``(6, 4)`` of three points of the unit sphere projected from another.
+def lunes() -> BezierTriangles:
+    """Return the unit sphere as four quadratic lunes from pole to pole: the fewest patches."""
+    south, north = np.array([0.0, 0, -1]), np.array([0.0, 0, 1])
+    # each arc is half of a great circle, named by a point on its other half
+    around = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    return BezierTriangles(
+        [sphere_lune(south, north, around[k], around[(k + 1) % 4]) for k in range(4)]
+    )
 
-    The corner weights are 1, so that arcs have their standard parameters.
+
+def sphere_face(corners: Any, center: Any) -> np.ndarray:
+    """Return the patch of three points of the unit sphere that is projected from a fourth.
+
+    Parameters
+    ----------
+    corners : (3, 3) array_like
+        Points of the unit sphere.
+    center : (3,) array_like
+        Centre of projection on the unit sphere, not in the plane of the corners. The edges
+        are arcs of the circles through two corners and the centre, and avoid the centre.
+
+    Returns
+    -------
+    (6, 4) array
+        Net with corner weights 1, so that the edges have the standard parameters of arcs.
     """
-    # b_ii has the weight 2 (1 - S.P) times the square of the factor of P
-    factor = np.sqrt(0.5 / (1 - corners @ center))
-    points = np.hstack([corners, np.ones((3, 1))]) * factor[:, None]
-    return quadric_patch(_UNIT_SPHERE, np.append(center, 1.0), points)
+    p = finite_array("corners", corners, (3, 3), GeometryError)
+    s = vector("center", center)
+    # b_ii has the weight 2 (1 - S.P) = |S - P|^2 times the square of the factor of P
+    factor = 1 / np.linalg.norm(p - s, axis=1)
+    points = np.hstack([p, np.ones((3, 1))]) * factor[:, None]
+    return quadric_patch(_UNIT_SPHERE, np.append(s, 1.0), points)
 
 
-def lune(start: np.ndarray, end: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the net ``(6, 4)`` of the lune between two arcs of circles on the unit sphere.
+def arc_tangent(start: np.ndarray, end: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the unit tangent at `start` of the arc to `end` on the circle through `other`.
 
-    The arcs lead from `start` to `end`, in the planes with the points `left` and `right` of
-    the sphere, avoiding these. The patch is oriented outwards.
+    All are points of the unit sphere; the arc is the one that avoids `other`.
     """
-    chord = end - start
-    tangents = []
-    for other in (left, right):
-        # the tangent of the circle lies in its plane and is orthogonal to the radius
-        t = np.cross(np.cross(chord, other - start), start)
-        t *= np.linalg.norm(chord) / np.linalg.norm(t)
-        tangents.append(t if t @ chord > 0 else -t)
-    if np.linalg.det([*tangents, start]) > 0:  # from `end`, the left arc comes first
-        tangents.reverse()
-    points = np.array([[*end, 1.0], [*tangents[0], 0.0], [*tangents[1], 0.0]])
-    return quadric_patch(_UNIT_SPHERE, np.append(start, 1.0), points) / (chord @ chord)
+    chord, aside = end - start, other - start
+    tangent = np.cross(np.cross(chord, aside), start)
+    tangent /= np.linalg.norm(tangent)
+    # the arc lies on the side of the chord opposite to the third point
+    across = aside - (aside @ chord) / (chord @ chord) * chord
+    return -tangent if tangent @ across > 0 else tangent
 
 
-def sphere(center: Any = (0, 0, 0), radius: float = 1, cover: str = "octants") -> BezierTriangles:
+def lune_between(
+    start: np.ndarray, end: np.ndarray, right: np.ndarray, left: np.ndarray
+) -> np.ndarray:
+    """Return the net of the lune between two arcs given by their unit tangents at `start`.
+
+    It is oriented outwards if a turn by less than half a turn, counter-clockwise seen from
+    outside, takes `right` to `left`.
+    """
+    # tangents as long as the chord give the corner weights 1
+    length = np.linalg.norm(end - start)
+    points = np.array([[*end, 1.0], [*(length * left), 0.0], [*(length * right), 0.0]])
+    return quadric_patch(_UNIT_SPHERE, np.append(start, 1.0), points) / length**2
+
+
+def sphere_lune(start: Any, end: Any, first: Any, second: Any) -> np.ndarray:
+    """Return the lune between two arcs of circles on the unit sphere.
+
+    Both arcs lead from `start` to `end`, one in the plane through `first` and one in the
+    plane through `second`, and avoid these points. Projected from `start`, the lune is the angle
+    at `end` between two parallels to the tangents at `start`: a quadratic patch with two
+    corners, and the edge between them, in `start`. It is the degenerate four-sided patch of the
+    covers: its fourth edge is collapsed into `end`.
+
+    Parameters
+    ----------
+    start, end, first, second : (3,) array_like
+        Points of the unit sphere.
+
+    Returns
+    -------
+    (6, 4) array
+        Net with corner weights 1, oriented outwards whatever the order of the arcs; the angle
+        of the lune is less than half a turn.
+    """
+    p, q, a, b = (
+        vector(name, x)
+        for name, x in (("start", start), ("end", end), ("first", first), ("second", second))
+    )
+    right, left = arc_tangent(p, q, a), arc_tangent(p, q, b)
+    if np.linalg.det([right, left, p]) < 0:
+        right, left = left, right
+    return lune_between(p, q, right, left)
+
+
+_COVERS = {"octants": octants, "tetrahedral": tetrahedral, "lunes": lunes}
+
+
+def _unit_cover(cover: Any) -> BezierTriangles:
+    """Return the cover of the unit sphere that a user names or gives."""
+    if isinstance(cover, BezierTriangles):
+        return cover
+    if not isinstance(cover, str) or cover not in _COVERS:
+        raise GeometryError.expected(
+            "cover", f"one of {', '.join(map(repr, _COVERS))}, or BezierTriangles", repr(cover)
+        )
+    return _COVERS[cover]()
+
+
+def sphere(
+    center: Any = (0, 0, 0), radius: float = 1, cover: str | BezierTriangles = "octants"
+) -> BezierTriangles:
     """Return a sphere as an exact, closed cover, oriented outwards.
 
     Parameters
@@ -101,24 +197,94 @@ def sphere(center: Any = (0, 0, 0), radius: float = 1, cover: str = "octants") -
     center : (3,) array_like
         Centre, in scene units.
     radius : float
-        Radius, positive.
-    cover : {"octants", "tetrahedral"}
-        Eight quartic patches, or four quadratic faces and six quadratic lunes.
+        Radius, positive, in scene units.
+    cover : {"octants", "tetrahedral", "lunes"} or BezierTriangles
+        Eight quartic patches; four quadratic faces and six quadratic lunes; four quadratic
+        lunes; or a cover of the unit sphere, as from `triangulations.triangulated`.
 
     Raises
     ------
     GeometryError
         If a parameter is not of this form.
     """
-    makers = {"octants": octants, "tetrahedral": tetrahedral}
-    if cover not in makers:
-        raise GeometryError.expected("cover", 'one of "octants", "tetrahedral"', repr(cover))
-    c = np.asarray(center, dtype=np.float64)
-    if c.shape != (3,) or not np.isfinite(c).all():
-        raise GeometryError.expected("center", "three finite numbers", f"{center}")
-    r = np.asarray(radius, dtype=np.float64)
-    if r.shape != () or not np.isfinite(r) or not r > 0:
-        raise GeometryError.expected("radius", "a positive number", f"{radius}")
+    c, r = vector("center", center), length("radius", radius)
     matrix = np.diag([r, r, r, 1.0])
     matrix[:3, 3] = c
-    return makers[cover]().transform(matrix)
+    return _unit_cover(cover).transform(matrix)
+
+
+# Rows: coordinates on the normal quadric from those on the unit sphere.
+_FROM_SPHERE = {
+    "ellipsoid": np.eye(4),
+    # x^2 + y^2 = z w from x^2 + y^2 = (w + z)(w - z): the north pole becomes ideal
+    "elliptic paraboloid": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, -1, 1]]),
+    # x^2 + y^2 - z^2 + w^2 = 0: the equator becomes ideal
+    "hyperboloid of two sheets": np.array(
+        [[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 1, 0]]
+    ),
+}
+
+
+def quadric_cover(A: Any, cover: str | BezierTriangles = "tetrahedral") -> BezierTriangles:
+    """Return a closed cover of an oval quadric, the image of one of the sphere.
+
+    Parameters
+    ----------
+    A : (4, 4) array_like
+        Symmetric matrix of an ellipsoid, an elliptic paraboloid or a hyperboloid of two sheets.
+    cover : {"octants", "tetrahedral", "lunes"} or BezierTriangles
+        As for `sphere`.
+
+    Returns
+    -------
+    BezierTriangles
+        For an ellipsoid closed and oriented outwards. The other two are closed in projective
+        space only: patches run through the ideal plane, where their weights change sign.
+
+    Raises
+    ------
+    GeometryError
+        If `A` is not such a quadric.
+    """
+    form = normal_form(A)
+    if form.name not in _FROM_SPHERE:
+        raise GeometryError.expected(
+            "A", "an oval quadric (" + ", ".join(_FROM_SPHERE) + ")", form.name
+        )
+    return _unit_cover(cover).transform(form.matrix @ _FROM_SPHERE[form.name])
+
+
+def ruled_cover(A: Any) -> BezierTriangles:
+    """Return a closed cover of a ruled quadric: eight quadratic triangles.
+
+    A ruled quadric is a torus in projective space, the product of its two families of
+    lines; each family is covered by two segments, each product is a bilinear patch.
+
+    Parameters
+    ----------
+    A : (4, 4) array_like
+        Symmetric matrix of a hyperboloid of one sheet or a hyperbolic paraboloid.
+
+    Returns
+    -------
+    BezierTriangles
+        Closed in projective space; patches run through the ideal plane.
+
+    Raises
+    ------
+    GeometryError
+        If `A` is not such a quadric.
+    """
+    if projective_type(A) != "ruled":
+        raise GeometryError.expected("A", "a ruled quadric", classify_quadric(A))
+    segments = np.array([[[1.0, 0], [0, 1]], [[0, 1], [-1, 0]]])
+    nets = []
+    for first in segments:
+        for second in segments:
+            net = np.empty((2, 2, 4))
+            for i, (a, b) in enumerate(first):
+                for j, (c, d) in enumerate(second):
+                    # (x - y)(x + y) = z w
+                    net[i, j] = [(a * d + b * c) / 2, (b * c - a * d) / 2, a * c, b * d]
+            nets.append(net)
+    return tensor_to_triangles(nets).transform(collineation_to_paraboloid(A).inverse)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import GeometryError, NetError
 from . import bernstein
+from .checks import finite_array
 
 __all__ = [
     "fit_quadric",
@@ -37,13 +38,7 @@ def quadric_matrix(A: Any) -> np.ndarray:
     GeometryError
         If `A` is not a finite symmetric 4x4 matrix, or zero.
     """
-    try:
-        a = np.asarray(A, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise GeometryError.expected("A", "a 4x4 matrix of numbers", f"{error}") from None
-    if a.shape != (4, 4) or not np.isfinite(a).all():
-        got = f"shape {a.shape}" if a.shape != (4, 4) else "NaN or infinite entries"
-        raise GeometryError.expected("A", "a finite 4x4 matrix", got)
+    a = finite_array("A", A, (4, 4), GeometryError)
     scale = np.abs(a).max()
     if scale == 0:
         raise GeometryError.expected("A", "a quadric", "the zero matrix")
@@ -85,17 +80,8 @@ def quadric_patch(A: Any, center: Any, points: Any) -> np.ndarray:
         zero, or centre and points are dependent.
     """
     a = quadric_matrix(A)
-    try:
-        s = np.asarray(center, dtype=np.float64)
-        p = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise GeometryError.expected("center, points", "numbers", f"{error}") from None
-    if s.shape != (4,) or not np.isfinite(s).all():
-        raise GeometryError.expected("center", "a finite homogeneous point (4,)", f"{s.tolist()}")
-    if p.shape != (3, 4) or not np.isfinite(p).all():
-        raise GeometryError.expected(
-            "points", "three finite homogeneous points (3, 4)", f"{p.tolist()}"
-        )
+    s = finite_array("center", center, (4,), GeometryError)
+    p = finite_array("points", points, (3, 4), GeometryError)
     if not s.any():
         raise GeometryError.expected("center", "a point", "the zero vector")
     if not p.any(axis=1).all():
@@ -174,6 +160,7 @@ def whiten(nets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Parameters
     ----------
     nets : (P, K, 4) array
+        Nets of any degree, finite.
 
     Returns
     -------
@@ -249,11 +236,7 @@ def fit_quadrics(
     NetError
         If the array is not of this form or not finite.
     """
-    nets = np.asarray(nets, dtype=np.float64)
-    if nets.ndim != 3 or nets.shape[-1] != 4:
-        raise NetError.expected("nets", "shape (P, K, 4)", f"shape {nets.shape}")
-    if not np.isfinite(nets).all():
-        raise NetError.expected("nets", "finite numbers", "NaN or infinity")
+    nets = finite_array("nets", nets, (None, None, 4), NetError)
     n = bernstein.degree_of(nets.shape[1], "nets")
     out = np.zeros((len(nets), 4, 4))
     ok = np.zeros(len(nets), dtype=bool)
@@ -296,9 +279,7 @@ def fit_quadric(net: Any, tolerance: float = 1e-9, flat: float = 1e-13) -> np.nd
     NetError
         If the net is not of this form or not finite.
     """
-    net = np.asarray(net, dtype=np.float64)
-    if net.ndim != 2 or net.shape[1] != 4:
-        raise NetError.expected("net", "shape (K, 4)", f"shape {net.shape}")
+    net = finite_array("net", net, (None, 4), NetError)
     a, ok = fit_quadrics(net[None], tolerance, flat)
     return a[0] if ok[0] else None
 

@@ -1,0 +1,116 @@
+"""Tensor-product patches and their exact split into two Bézier triangles."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb
+from typing import Any
+
+import numpy as np
+
+from ..errors import NetError
+from . import bernstein
+from .checks import finite_array
+from .triangles import BezierTriangles
+
+__all__ = ["evaluate_tensor", "tensor_matrices", "tensor_to_triangles"]
+
+
+def _tensor_nets(net: Any, parameter: str) -> np.ndarray:
+    """Return nets as ``(P, p+1, q+1, 4)``, checked."""
+    one = np.ndim(net) == 3
+    shape: tuple[int | None, ...] = (None, None, 4) if one else (None, None, None, 4)
+    nets = finite_array(parameter, net, shape, NetError)
+    nets = nets[None] if one else nets
+    if min(nets.shape[1:3]) < 2:
+        raise NetError.expected(
+            parameter,
+            "shape (p+1, q+1, 4) or (P, p+1, q+1, 4) with degrees p, q >= 1",
+            f"shape {np.shape(net)}",
+        )
+    return nets
+
+
+@cache
+def tensor_matrices(p: int, q: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrices ``(K_{p+q}, (p+1)(q+1))`` from a tensor net to two triangles.
+
+    In the first triangle ``s = u``, ``t = v``: the powers of ``1 - s = v + w`` and
+    ``1 - t = u + w`` in ``B_i^p(s) B_j^q(t)`` are expanded. The second has ``s = 1 - u``,
+    ``t = 1 - v``, so it is the first of the net turned by half a turn.
+    """
+    n = p + q
+    out = np.zeros((bernstein.size(n), p + 1, q + 1))
+    for i in range(p + 1):
+        for j in range(q + 1):
+            for a in range(p - i + 1):  # v^a of (v + w)^(p - i)
+                for b in range(q - j + 1):  # u^b of (u + w)^(q - j)
+                    x, y = i + b, j + a
+                    term = comb(p, i) * comb(q, j) * comb(p - i, a) * comb(q - j, b)
+                    out[bernstein.row(n, x, y), i, j] += term / (comb(n, x) * comb(n - x, y))
+    first = out.reshape(len(out), -1)
+    second = out[:, ::-1, ::-1].reshape(len(out), -1)
+    return first, second
+
+
+def tensor_to_triangles(net: Any) -> BezierTriangles:
+    """Split tensor-product patches exactly into two triangles each, along a diagonal.
+
+    Parameters
+    ----------
+    net : (p+1, q+1, 4) or (P, p+1, q+1, 4) array_like
+        Homogeneous control points ``b_ij`` of ``sum b_ij B_i^p(s) B_j^q(t)``, degrees at
+        least 1.
+
+    Returns
+    -------
+    BezierTriangles
+        ``2P`` triangles of degree ``p + q``, oriented along ``d/ds x d/dt``. Triangle ``2m``
+        has the corners ``(s, t) = (1, 0), (0, 1), (0, 0)`` of patch `m`, with ``s = u``,
+        ``t = v``; triangle ``2m + 1`` has ``(0, 1), (1, 0), (1, 1)``, with ``s = 1 - u``,
+        ``t = 1 - v``.
+
+    Raises
+    ------
+    NetError
+        If the array is not of this form or not finite.
+    """
+    nets = _tensor_nets(net, "net")
+    count, p, q = len(nets), nets.shape[1] - 1, nets.shape[2] - 1
+    both = np.stack(tensor_matrices(p, q))
+    out = np.einsum("ekl,plc->pekc", both, nets.reshape(count, -1, 4))
+    return BezierTriangles(out.reshape(2 * count, -1, 4))
+
+
+def evaluate_tensor(net: Any, st: Any) -> np.ndarray:
+    """Evaluate homogeneous points of one tensor-product patch.
+
+    Parameters
+    ----------
+    net : (p+1, q+1, 4) array_like
+        Homogeneous control points.
+    st : (N, 2) array_like
+        Parameters.
+
+    Returns
+    -------
+    (N, 4) array
+
+    Raises
+    ------
+    NetError
+        If an array is not of this form.
+    """
+    nets = _tensor_nets(net, "net")
+    if len(nets) != 1:
+        raise NetError.expected("net", "one net (p+1, q+1, 4)", f"{len(nets)} nets")
+    st = finite_array("st", np.atleast_2d(st), (None, 2), NetError)
+    bs, bt = (_bernstein(d - 1, x) for d, x in zip(nets.shape[1:3], st.T))
+    return np.einsum("ni,nj,ijc->nc", bs, bt, nets[0])
+
+
+def _bernstein(n: int, t: np.ndarray) -> np.ndarray:
+    """Return the univariate Bernstein polynomials ``(N, n+1)``."""
+    i = np.arange(n + 1)
+    binomials = np.array([comb(n, k) for k in i], dtype=np.float64)
+    return binomials * t[:, None] ** i * (1 - t[:, None]) ** (n - i)
