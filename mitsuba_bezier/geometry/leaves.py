@@ -446,7 +446,7 @@ def _exact_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
         frame=frame,
         form=np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1),
         net=np.zeros((len(keep), k, 4)),
-        box=patches[keep].bounds(),
+        box=_tight_boxes(patches[keep]),
         certified=np.ones(len(keep), dtype=bool),
     )
     return found, leaves
@@ -479,9 +479,10 @@ def _stereographic_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
             # u_j B_ijk of degree 1 = (i_j + 1)/2 times a Bernstein polynomial of degree 2
             system[:, 6 * j + bernstein.row(2, up[0], up[1]), 12 + c] = -up[j] / 2
     _u, s, vt = np.linalg.svd(system)
-    # One null vector to rounding and a second far from it: 1e-11 is what float64 leaves of
-    # such a system; below 1e-3 the inverse would lose too many of float32's digits.
-    found = (s[:, -1] <= 1e-11 * s[:, 0]) & (s[:, -2] > 1e-3 * s[:, 0])
+    # One null vector, and a second far from it. 3e-7: nets come through Mitsuba's float32
+    # tensors, whose rounding (6e-8) is what a render can know of a surface anyway; below 1e-3
+    # the inverse would lose too many of float32's digits.
+    found = (s[:, -1] <= 3e-7 * s[:, 0]) & (s[:, -2] > 1e-3 * s[:, 0])
     rows, ell = vt[:, -1, :12].reshape(count, 3, 4), vt[:, -1, 12:]
     norm = np.linalg.norm(rows, axis=(1, 2))
     norm = np.where(norm > 0, norm, 1.0)
@@ -516,6 +517,15 @@ def _planar_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     forms[:, :, 3] += plane / 2
     forms[:, 3, :] += plane / 2
     return rows, forms, found
+
+
+def _tight_boxes(patches: BezierTriangles, levels: int = 3) -> np.ndarray:
+    """Return boxes of control points after a few midpoint splits, ``(P, 2, 3)``."""
+    fine = patches
+    for _ in range(levels):
+        fine = fine.split()
+    box = fine.bounds().reshape(len(patches), 4**levels, 2, 3)
+    return np.stack([box[:, :, 0].min(axis=1), box[:, :, 1].max(axis=1)], axis=1)
 
 
 def _centre_and_size(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray]:

@@ -139,11 +139,11 @@ def _split(
         lo[filled] = np.minimum.reduceat(boxes[items[by_key], 0], first)
         hi[filled] = np.maximum.reduceat(boxes[items[by_key], 1], first)
         number = np.bincount(key, minlength=nodes * _BINS).reshape(nodes, _BINS)
-        lo, hi = lo.reshape(nodes, _BINS, 3), hi.reshape(nodes, _BINS, 3)
+        lo_b, hi_b = lo.reshape(nodes, _BINS, 3), hi.reshape(nodes, _BINS, 3)
         n_left = np.cumsum(number, axis=1)
-        area_left = _area(np.minimum.accumulate(lo, axis=1), np.maximum.accumulate(hi, axis=1))
-        lo_r = np.minimum.accumulate(lo[:, ::-1], axis=1)[:, ::-1]
-        hi_r = np.maximum.accumulate(hi[:, ::-1], axis=1)[:, ::-1]
+        area_left = _area(np.minimum.accumulate(lo_b, axis=1), np.maximum.accumulate(hi_b, axis=1))
+        lo_r = np.minimum.accumulate(lo_b[:, ::-1], axis=1)[:, ::-1]
+        hi_r = np.maximum.accumulate(hi_b[:, ::-1], axis=1)[:, ::-1]
         area_right = _area(lo_r, hi_r)
         n_right = n_left[:, -1:] - n_left
         cost = area_left[:, :-1] * n_left[:, :-1] + area_right[:, 1:] * n_right[:, :-1]

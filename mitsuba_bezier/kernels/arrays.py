@@ -77,7 +77,7 @@ def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> l
     -------
     list of `count` arrays
     """
-    vector = _vector_of(type(buffer))
+    vector = _vector_of(dr.leaf_t(buffer))
     packets = -(-count // 8)
     out: list[Any] = []
     for p in range(packets):
