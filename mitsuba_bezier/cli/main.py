@@ -11,7 +11,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from .._version import __version__
 from ..errors import BezierError
@@ -21,7 +21,7 @@ __all__ = ["COMMANDS", "main"]
 PROGRAM = "mitsuba-bezier"
 
 #: The subcommands, in the order of ``--help``; each is the module of the same name.
-COMMANDS = ("render", "doctor")
+COMMANDS = ("render", "compare", "merge", "doctor")
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
@@ -41,14 +41,18 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         epilog=f"'{PROGRAM} COMMAND --help' describes a command.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
-    parser.add_argument(
-        "--debug", action="store_true", help="show the traceback of an error, not one line"
-    )
+    debug: dict[str, Any] = {
+        "action": "store_true",
+        "help": "show the traceback of an error, not one line",
+    }
+    parser.add_argument("--debug", **debug)
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     # the module of the command that is asked for is enough
     named = [word for word in argv if not word.startswith("-")][:1]
     for name in named if named and named[0] in COMMANDS else COMMANDS:
         import_module(f".{name}", __package__).add_parser(subparsers)
+    for command in subparsers.choices.values():  # --debug may stand behind the command, too
+        command.add_argument("--debug", default=argparse.SUPPRESS, **debug)
     return parser
 
 
