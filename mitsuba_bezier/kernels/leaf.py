@@ -299,7 +299,9 @@ def graph_march(
         # until then the march stays where it is and only (u, v) improve.
         certain = (sign != 0.0) | (dr.abs(value) > slack) | (off2 < 1e-10)
         sign = dr.select(certain & (sign == 0.0), dr.copysign(1.0, value), sign)
-        signed, signed_slope = sign * value, sign * slope
+        # the slope is that at (x, y); the ray is sqrt(off2) away from there
+        tilt = 2.0 * bending * dr.sqrt(off2 * lateral2)
+        signed, signed_slope = sign * value, sign * slope - tilt
         sure = dr.select(signed > 0.0, dr.maximum(signed - slack, 0.0), signed)
         half_second = sign * gamma - wobble
         delta, exists = _first_root(sure, signed_slope, half_second)
