@@ -10,6 +10,7 @@ from collections.abc import Callable
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from ..errors import FileFormatError
 from ..geometry.triangles import BezierTriangles
@@ -27,9 +28,16 @@ __all__ = [
     "save",
 ]
 
-#: Suffix to the module that reads it; modules are imported when they are needed.
-_READERS = {".vtu": "vtu"}
-_WRITERS = {".vtu": "vtu"}
+#: Suffix to the module and function that read it; modules are imported when they are needed.
+_READERS = {
+    ".bbp": "geomview.read",
+    ".bez": "geomview.read",
+    ".bv": "bezierview.read",
+    ".obj": "obj.read",
+    ".off": "geomview.read_off",
+    ".vtu": "vtu.read",
+}
+_WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu.write"}
 
 
 def known_suffixes() -> tuple[list[str], list[str]]:
@@ -37,7 +45,7 @@ def known_suffixes() -> tuple[list[str], list[str]]:
     return sorted(_READERS), sorted(_WRITERS)
 
 
-def _module(path: str | PathLike[str], table: dict[str, str], verb: str):
+def _function(path: str | PathLike[str], table: dict[str, str], verb: str) -> Callable[..., Any]:
     try:
         suffix = Path(path).suffix.lower()
     except TypeError:
@@ -48,7 +56,8 @@ def _module(path: str | PathLike[str], table: dict[str, str], verb: str):
             f"a file that can be {verb} ({', '.join(sorted(table))})",
             f"suffix {suffix!r} of {str(path)!r}",
         )
-    return import_module(f".{table[suffix]}", __name__)
+    module, name = table[suffix].split(".")
+    return getattr(import_module(f".{module}", __name__), name)
 
 
 def read(path: str | PathLike[str]) -> Model:
@@ -60,8 +69,7 @@ def read(path: str | PathLike[str]) -> Model:
         If the suffix is unknown, the file is missing or damaged, or no face of it can be
         converted.
     """
-    reader: Callable[..., Model] = _module(path, _READERS, "read").read
-    return reader(path)
+    return _function(path, _READERS, "read")(path)
 
 
 def load(path: str | PathLike[str]) -> BezierTriangles:
@@ -89,13 +97,23 @@ def load_groups(path: str | PathLike[str]) -> list[BezierTriangles]:
     return model.groups
 
 
-def save(triangles: BezierTriangles, path: str | PathLike[str]) -> None:
+def save(
+    triangles: BezierTriangles | list[BezierTriangles], path: str | PathLike[str], **options: Any
+) -> None:
     """Write patches to a file; an existing file is replaced in one step.
+
+    Parameters
+    ----------
+    triangles : BezierTriangles or list of BezierTriangles
+        The patches; a list may mix degrees.
+    path : path
+        The file; its suffix tells the format.
+    **options
+        Those of the format: ``encoding`` for ``.vtu``, ``chord_error`` for ``.ply``.
 
     Raises
     ------
     FileFormatError
         If the suffix is unknown, the folder does not exist or the format cannot hold the nets.
     """
-    writer: Callable[..., None] = _module(path, _WRITERS, "written").write
-    writer(triangles, path)
+    _function(path, _WRITERS, "written")(triangles, path, **options)

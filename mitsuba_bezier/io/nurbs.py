@@ -1,0 +1,167 @@
+"""NURBS to Bézier patches: knot insertion by blossoms.
+
+The Bézier points of a B-spline on an interval ``[a, b]`` inside one knot span are the values of
+its blossom at ``a`` and ``b`` (Ramshaw); de Boor's algorithm evaluates it. So one small matrix
+an interval takes the ``p + 1`` control points of the span to those of the Bézier curve. It works
+for any knot vector, clamped or not, and restricts to parts of a span as well.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ..errors import GeometryError
+
+__all__ = ["bezier_matrices", "check_knots", "curve_to_bezier", "surface_to_bezier"]
+
+
+def check_knots(knots: Any, degree: int, count: int, parameter: str = "knots") -> np.ndarray:
+    """Return a knot vector as float64, checked.
+
+    Parameters
+    ----------
+    knots : (count + degree + 1,) array_like
+        Not falling.
+    degree : int
+        At least 1.
+    count : int
+        Number of control points.
+    parameter : str
+        Its name in messages.
+
+    Raises
+    ------
+    GeometryError
+        If the length is wrong, a knot is not finite or falls, or no span has a length.
+    """
+    knots = np.asarray(knots, dtype=np.float64)
+    if degree < 1 or count <= degree:
+        raise GeometryError.expected(
+            parameter, "degree >= 1 and more control points than that", f"{degree} and {count}"
+        )
+    if knots.shape != (count + degree + 1,):
+        raise GeometryError.expected(
+            parameter,
+            f"{count + degree + 1} knots for {count} control points of degree {degree}",
+            f"{knots.shape}",
+        )
+    if not np.isfinite(knots).all() or (np.diff(knots) < 0).any():
+        raise GeometryError.expected(parameter, "finite knots that do not fall", "others")
+    if not knots[degree] < knots[count]:
+        raise GeometryError.expected(parameter, "a domain of positive length", "none")
+    return knots
+
+
+def _blossom_rows(knots: np.ndarray, degree: int, span: int, a: float, b: float) -> np.ndarray:
+    """Return the matrix from control points ``span-degree .. span`` to Bézier points on [a, b]."""
+    p = degree
+    out = np.empty((p + 1, p + 1))
+    for row in range(p + 1):
+        arguments = [a] * (p - row) + [b] * row
+        level = np.eye(p + 1)  # rows: control points span - p .. span
+        for r, t in enumerate(arguments, start=1):
+            lower = knots[span - p + r : span + 1]
+            upper = knots[span + 1 : span + p - r + 2]
+            alpha = ((t - lower) / (upper - lower))[:, None]
+            level = (1 - alpha) * level[:-1] + alpha * level[1:]
+        out[row] = level[0]
+    return out
+
+
+def bezier_matrices(
+    knots: np.ndarray, degree: int, cuts: Any = ()
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the matrices that take B-spline control points to Bézier points.
+
+    Parameters
+    ----------
+    knots : (m,) array
+        A checked knot vector.
+    degree : int
+        The degree p.
+    cuts : array_like, optional
+        Further parameters at which to cut; those outside of the domain do nothing.
+
+    Returns
+    -------
+    matrices : (S, p+1, p+1) array
+        One for each interval of positive length.
+    first : (S,) int array
+        The first control point each matrix acts on.
+    intervals : (S, 2) array
+    """
+    p = degree
+    low, high = knots[p], knots[-p - 1]
+    breaks = np.unique(np.concatenate([knots[p : len(knots) - p], np.ravel(cuts)]))
+    breaks = breaks[(breaks >= low) & (breaks <= high)]
+    matrices, first, intervals = [], [], []
+    for a, b in pairwise(breaks):
+        span = int(np.searchsorted(knots, a, side="right")) - 1
+        matrices.append(_blossom_rows(knots, p, span, a, b))
+        first.append(span - p)
+        intervals.append((a, b))
+    return np.array(matrices), np.array(first), np.array(intervals)
+
+
+def curve_to_bezier(net: Any, knots: Any, degree: int, cuts: Any = ()) -> np.ndarray:
+    """Return the Bézier pieces ``(S, p+1, d)`` of a B-spline curve with points ``(m, d)``.
+
+    Raises
+    ------
+    GeometryError
+        If the knots do not fit.
+    """
+    net = np.asarray(net, dtype=np.float64)
+    knots = check_knots(knots, degree, len(net))
+    matrices, first, _intervals = bezier_matrices(knots, degree, cuts)
+    return matrices @ net[first[:, None] + np.arange(degree + 1)]
+
+
+def surface_to_bezier(
+    net: Any,
+    knots_u: Any,
+    knots_v: Any,
+    degrees: tuple[int, int],
+    cuts: tuple[Any, Any] = ((), ()),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Bézier patches of a NURBS surface.
+
+    Parameters
+    ----------
+    net : (m, n, 4) array_like
+        Homogeneous control points, the first index along u.
+    knots_u, knots_v : array_like
+        ``m + p + 1`` and ``n + q + 1`` knots.
+    degrees : (int, int)
+        The degrees p, q.
+    cuts : pair of array_like
+        Further parameters at which to cut, along u and along v.
+
+    Returns
+    -------
+    patches : (S, p+1, q+1, 4) array
+    domains : (S, 2, 2) array
+        ``[[u0, u1], [v0, v1]]`` of each patch.
+
+    Raises
+    ------
+    GeometryError
+        If the knots do not fit.
+    """
+    net = np.asarray(net, dtype=np.float64)
+    p, q = degrees
+    knots_u = check_knots(knots_u, p, net.shape[0], "knots_u")
+    knots_v = check_knots(knots_v, q, net.shape[1], "knots_v")
+    mu, first_u, domain_u = bezier_matrices(knots_u, p, cuts[0])
+    mv, first_v, domain_v = bezier_matrices(knots_v, q, cuts[1])
+    rows = mu @ net[first_u[:, None] + np.arange(p + 1)].reshape(len(mu), p + 1, -1)
+    rows = rows.reshape(len(mu), p + 1, net.shape[1], 4)
+    columns = rows[:, :, first_v[:, None] + np.arange(q + 1)]  # (Su, p+1, Sv, q+1, 4)
+    patches = np.einsum("vij,upvjc->uvpic", mv, columns, optimize=True)
+    domains = np.empty((len(mu), len(mv), 2, 2))
+    domains[:, :, 0] = domain_u[:, None]
+    domains[:, :, 1] = domain_v[None]
+    return patches.reshape(-1, p + 1, q + 1, 4), domains.reshape(-1, 2, 2)

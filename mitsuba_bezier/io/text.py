@@ -1,0 +1,114 @@
+"""Words and numbers of a text file, with the line each came from."""
+
+from __future__ import annotations
+
+import re
+from os import PathLike
+
+import numpy as np
+
+from ..errors import FileFormatError
+from .files import damaged, read_text
+
+__all__ = ["Tokens"]
+
+
+class Tokens:
+    """The words of a text file, read one after the other.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    comment : str
+        What starts a comment, which runs to the end of the line.
+    apart : str
+        Characters that are words of their own, whatever stands next to them.
+
+    Raises
+    ------
+    FileFormatError
+        If the file cannot be read.
+    """
+
+    def __init__(self, path: str | PathLike[str], comment: str = "#", apart: str = "") -> None:
+        self.path = path
+        self._comment = comment
+        text = read_text(path)
+        for character in apart:
+            text = text.replace(character, f" {character} ")
+        self._text = text
+        if comment in text:
+            text = re.sub(re.escape(comment) + r"[^\n]*", "", text)
+        self._words = text.split()
+        self._at = 0
+        self._lines: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """Return how many words are left."""
+        return len(self._words) - self._at
+
+    def line(self, back: int = 0) -> int:
+        """Return the line of the word `back` words before the next one."""
+        if self._lines is None:  # only errors and formats that depend on lines need it
+            rows = self._text.split("\n")
+            counts = [len(row.split(self._comment)[0].split()) for row in rows]
+            self._lines = np.repeat(np.arange(1, len(rows) + 1), counts)
+        at = self._at - back
+        if at < len(self._lines):
+            return int(self._lines[at])
+        return self._text.count("\n") + 1
+
+    def error(self, expected: str, got: object, back: int = 0) -> FileFormatError:
+        """Return an error about the word `back` words before the next one."""
+        return damaged(self.path, expected, got, line=self.line(back))
+
+    def peek(self) -> str:
+        """Return the next word without taking it, or the empty string at the end."""
+        return self._words[self._at] if self._at < len(self._words) else ""
+
+    def word(self, expected: str) -> str:
+        """Take the next word."""
+        if self._at >= len(self._words):
+            raise self.error(expected, "the end of the file")
+        self._at += 1
+        return self._words[self._at - 1]
+
+    def integer(self, name: str, low: int, high: int) -> int:
+        """Take an integer within bounds."""
+        word = self.word(name)
+        # the length: int() of a number of a million digits is slow
+        if not re.fullmatch(r"[+-]?\d{1,18}", word) or not low <= int(word) <= high:
+            raise self.error(f"{name} from {low} to {high}", repr(word[:40]), back=1)
+        return int(word)
+
+    def numbers(self, count: int, name: str) -> np.ndarray:
+        """Take `count` finite numbers."""
+        if count > len(self):
+            self._at = len(self._words)
+            raise self.error(f"{count} numbers for {name}", "the end of the file")
+        words = self._words[self._at : self._at + count]
+        try:
+            out = np.array(words, dtype=np.float64)
+        except (ValueError, OverflowError):
+            out = None
+        if out is None or not np.isfinite(out).all():
+            for word in words:
+                self._at += 1
+                if not _is_finite(word):
+                    raise self.error(f"a finite number for {name}", repr(word[:40]), back=1)
+            raise self.error(f"{count} numbers for {name}", "other text")
+        self._at += count
+        return out
+
+    def skip_line(self, number: int) -> None:
+        """Skip the words that are left on line `number`."""
+        while len(self) and self.line() == number:
+            self._at += 1
+
+
+def _is_finite(word: str) -> bool:
+    try:
+        return bool(np.isfinite(float(word)))
+    except (ValueError, OverflowError):
+        return False

@@ -1,0 +1,132 @@
+"""Trimming loops along parameter lines: which patches of a surface they leave.
+
+A loop whose edges all run along parameter lines cuts the domain into rectangles. The surface is
+cut at every parameter that occurs in a loop, and each rectangle is then inside or outside as a
+whole, so the trimmed face is exact.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .nurbs import check_knots, surface_to_bezier
+
+__all__ = ["CURVED", "MAX_CELLS", "parameter_line", "rectilinear", "trimmed"]
+
+#: A loop of n edges cuts into up to n^2 / 4 patches: a small file must not fill the memory.
+MAX_CELLS = 100_000
+
+#: Why a face is refused whose loops are not of this kind.
+CURVED = "trimmed by curves that are not parameter lines"
+
+
+def parameter_line(points: np.ndarray, tolerance: np.ndarray) -> np.ndarray | None:
+    """Return the end points of a curve along a parameter line, None for other curves.
+
+    Parameters
+    ----------
+    points : (m, 2) array
+        Control points in (u, v), Euclidean: a curve lies in their convex hull.
+    tolerance : (2,) array
+        How far a control point may be off, in u and in v.
+
+    Returns
+    -------
+    (2, 2) array or None
+        First and last point, with the constant coordinate made equal.
+    """
+    spread = np.ptp(points, axis=0)
+    fixed = spread <= tolerance
+    if not fixed.any():
+        return None
+    ends = points[[0, -1]].copy()
+    for axis in range(2):
+        if fixed[axis]:
+            ends[:, axis] = points[:, axis].mean()
+    return ends
+
+
+def rectilinear(loops: list[list[np.ndarray]], tolerance: np.ndarray) -> list[np.ndarray] | None:
+    """Return loops as axis-parallel polygons ``(m, 2, 2)`` of edges, None if one is curved.
+
+    Parameters
+    ----------
+    loops : list of list of (m, 2) arrays
+        For each loop, the control points of its curves in order.
+    tolerance : (2,) array
+        As for `parameter_line`.
+    """
+    out = []
+    for loop in loops:
+        edges = []
+        for points in loop:
+            ends = parameter_line(points, tolerance)
+            if ends is None:
+                return None
+            edges.append(ends)
+        out.append(np.array(edges).reshape(-1, 2, 2))
+    return out
+
+
+def _cuts(edges: list[np.ndarray], knots: np.ndarray, tolerance: float, axis: int) -> np.ndarray:
+    """Return the distinct coordinates of the edges; those near a knot are replaced by it."""
+    values = np.unique(np.concatenate([e[..., axis].ravel() for e in edges]))
+    near = knots[np.abs(values[:, None] - knots[None]).argmin(axis=1)]
+    values = np.unique(np.where(np.abs(values - near) <= tolerance, near, values))
+    # values closer to each other than the tolerance are one cut
+    return values[np.concatenate([[True], np.diff(values) > tolerance])]
+
+
+def _inside(points: np.ndarray, edges: list[np.ndarray]) -> np.ndarray:
+    """Tell which points ``(N, 2)`` lie inside of axis-parallel loops, by the even-odd rule."""
+    crossings = np.zeros(len(points), int)
+    for u0, v0, u1, v1 in np.concatenate(edges).reshape(-1, 4):
+        if u0 == u1:
+            low, high = min(v0, v1), max(v0, v1)
+            crossings += (u0 > points[:, 0]) & (low <= points[:, 1]) & (points[:, 1] < high)
+    return crossings % 2 == 1
+
+
+def trimmed(
+    net: np.ndarray,
+    knots: tuple[Any, Any],
+    degrees: tuple[int, int],
+    edges: list[np.ndarray],
+    tolerance: np.ndarray,
+) -> np.ndarray | str:
+    """Return the Bézier patches of a NURBS surface inside of loops along parameter lines.
+
+    Parameters
+    ----------
+    net : (m, n, 4) array
+        Homogeneous control points.
+    knots : pair of array_like
+        The knots along u and along v.
+    degrees : (int, int)
+        The degrees along u and along v.
+    edges : list of (k, 2, 2) arrays
+        The loops, as `rectilinear` returns them.
+    tolerance : (2,) array
+        Cuts closer than that, in u and in v, are one.
+
+    Returns
+    -------
+    (S, p+1, q+1, 4) array, or str
+        The patches, or the reason why there are none.
+
+    Raises
+    ------
+    GeometryError
+        If the knots do not fit.
+    """
+    knots_u = check_knots(knots[0], degrees[0], net.shape[0], "knots_u")
+    knots_v = check_knots(knots[1], degrees[1], net.shape[1], "knots_v")
+    cut_u = _cuts(edges, np.unique(knots_u), tolerance[0], 0)
+    cut_v = _cuts(edges, np.unique(knots_v), tolerance[1], 1)
+    if (len(cut_u) + net.shape[0]) * (len(cut_v) + net.shape[1]) > MAX_CELLS + net[..., 0].size:
+        return f"its trims cut it into more than {MAX_CELLS} patches"
+    patches, domains = surface_to_bezier(net, knots_u, knots_v, degrees, (cut_u, cut_v))
+    left = _inside(domains.mean(axis=2), edges)
+    return patches[left] if left.any() else "nothing is left inside of its range and trims"
