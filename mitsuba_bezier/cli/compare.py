@@ -1,0 +1,180 @@
+"""``mitsuba-bezier compare``: two images or two folders of images, with a verdict and a report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..errors import BezierError
+
+__all__ = ["add_parser", "run"]
+
+_MEASURES = ("RMSE", "relative MSE", "max", "FLIP", "Z-test")
+
+
+def _limit(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not value >= 0:
+        raise argparse.ArgumentTypeError(f"expected a number >= 0, got {text!r}")
+    return value
+
+
+def _samples(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a number of samples >= 1, got {text!r}")
+    return int(text)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the parser of this command."""
+    parser = subparsers.add_parser(
+        "compare",
+        help="compare images or folders of images",
+        description="Compare two images (.exr, .png), or the images of two folders by their "
+        "names, layer by layer: RMSE, relative MSE, largest difference, FLIP, and a Z-test where "
+        "the variance is known. Without a limit and a variance, images must be equal.",
+        epilog="Exit code: 0 all pass, 1 some fail, 2 some could not be compared.",
+    )
+    add = parser.add_argument
+    add("reference", metavar="A", help="reference image or folder")
+    add("test", metavar="B", help="image or folder to be tested")
+    add("--html", metavar="FILE", help="write a report to look at, one self-contained page")
+    add("--json", metavar="FILE", help="write the numbers; '-' for standard output")
+    add("--only", metavar="PATTERN", default="*", help="compare only images of such names")
+    limits = parser.add_argument_group("limits (over those of --thresholds)")
+    limit = limits.add_argument
+    limit("--thresholds", metavar="FILE", help="TOML file with limits by image")
+    limit("--rmse", metavar="X", type=_limit, help="largest root mean square difference")
+    limit("--relative-mse", metavar="X", type=_limit, help="largest mean of d^2 / (a^2 + 0.01)")
+    limit("--max-abs", metavar="X", type=_limit, help="largest difference of any pixel")
+    limit("--flip", metavar="X", type=_limit, help="largest mean FLIP error")
+    z_test = limits.add_mutually_exclusive_group()
+    z_test.add_argument(
+        "--z-test",
+        action="store_true",
+        default=None,
+        help="demand the Z-test (by default it counts where it is possible)",
+    )
+    z_test.add_argument(
+        "--no-z-test", action="store_false", dest="z_test", help="leave the Z-test out"
+    )
+    limit("--z-share", metavar="X", type=_limit, help="share of pixels that must pass it (0.9975)")
+    limit("--allow-nan", action="store_true", default=None, help="let NaN and infinity pass")
+    add("--spp", metavar="N", type=_samples, help="samples of B, if its header tells none")
+    add("--exposure", metavar="EV", type=float, help="stops, for the report (by the reference)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, print the table, write the files; return 0, 1 or 2."""
+    from ..verification import comparison, report
+    from ..verification.thresholds import Thresholds
+
+    names = ("rmse", "relative_mse", "max_abs", "flip", "z_test", "z_share", "allow_nan")
+    flags = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.thresholds:
+        thresholds = Thresholds.load(args.thresholds, flags)
+    else:
+        thresholds = Thresholds(flags=flags)
+
+    found, entries = [], []
+    for result in comparison.compare_paths(
+        args.reference, args.test, thresholds, args.spp, only=args.only
+    ):
+        if args.html:
+            entries.append(report.entry(result, _repeat(args, result.name), args.exposure))
+        found.append((result.as_json(), result.state))
+        del result  # only one pair of images is in memory at a time
+
+    outcome = [data for data, _ in found]
+    if args.html:
+        report.write_report(
+            args.html,
+            entries,
+            "Comparison of images",
+            f"Reference: {args.reference}, test: {args.test}",
+            shlex.join(args.argv),
+        )
+    if args.json == "-":
+        print(json.dumps(outcome, indent=2, ensure_ascii=False))
+    else:
+        if args.json:
+            _write_json(Path(args.json), outcome)
+        _print(outcome)
+        if args.html:
+            print(f"report: {args.html}")
+    states = {state for _, state in found}
+    return 2 if "error" in states else 1 if "fail" in states else 0
+
+
+def _repeat(args: argparse.Namespace, name: str) -> str:
+    """Return the command line for one image alone, without the files that it would overwrite."""
+    words: list[str] = []
+    skip = False
+    for word in args.argv:
+        is_output = word in ("--html", "--json")
+        if not (skip or is_output or word.startswith(("--html=", "--json="))):
+            words.append(word)
+        skip = is_output
+    if Path(args.reference).is_dir() and args.only == "*":
+        words += ["--only", name]
+    return shlex.join(words)
+
+
+def _write_json(path: Path, outcome: list[dict[str, Any]]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise BezierError.expected("--json", "a file that can be written", f"{error}") from None
+
+
+def _print(outcome: list[dict[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(file=sys.stdout)
+    styles = {"pass": "green", "fail": "bold red", "error": "yellow"}
+    table = Table(show_edge=False, pad_edge=False)
+    table.add_column("image", overflow="fold")
+    table.add_column("")
+    for measure in _MEASURES:
+        table.add_column(measure, justify="right")
+    lines: list[tuple[str, str]] = []
+    for image in outcome:
+        state = image["state"]
+        if state == "error":
+            table.add_row(Text(image["name"]), Text(state, style=styles[state]))
+            lines.append((f"{image['name']}: {image['error']}", styles[state]))
+        for layer in image["layers"]:
+            title = image["name"] + (f":{layer['name']}" if layer["name"] else "")
+            failed = [check for check in layer["checks"] if check["passed"] is False]
+            verdict = "fail" if failed else "pass"
+            values = {check["name"]: check for check in layer["checks"]}
+            cells = [_cell(values.get(measure)) for measure in _MEASURES]
+            table.add_row(Text(title), Text(verdict, style=styles[verdict]), *cells)
+            lines += [(f"{title}: {check['text']}", styles["fail"]) for check in failed]
+    console.print(table)
+    for line, style in lines:
+        console.print(Text(line, style=style), soft_wrap=True)
+    states = [image["state"] for image in outcome]
+    words = [("pass", "passed"), ("fail", "failed"), ("error", "not compared")]
+    counts = [f"{states.count(s)} {word}" for s, word in words if s in states]
+    console.print(Text(f"{len(states)} compared: " + ", ".join(counts)))
+
+
+def _cell(check: dict[str, Any] | None) -> Any:
+    from rich.text import Text
+
+    if check is None or check["value"] is None:
+        return Text("")
+    value = check["value"]
+    text = f"{100 * value:.2f} %" if check["name"] == "Z-test" else f"{value:.4g}"
+    return Text(text, style="red" if check["passed"] is False else "")

@@ -1,0 +1,1 @@
+"""Comparison of images, reports, merging, a pytest plugin: regression tests of renders."""

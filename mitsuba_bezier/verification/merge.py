@@ -1,0 +1,346 @@
+"""Adding up passes of a render, in one process or from files, with the same result to the bit.
+
+A render of several passes is their mean, weighted pixel by pixel: with the developed images F_i
+and weights w_i (the film's reconstruction weights, or just the samples per pixel),
+
+    F = sum_i w_i F_i / sum_i w_i.
+
+Each F_i and w_i is a float32 number, so w_i F_i is exact in float64. The sums are kept in pairs
+of float64 (compensated by Knuth's TwoSum), which is exact as long as the terms of one pixel stay
+within a factor of some 2^80, and only the final quotient is rounded, to float32. Hence the order
+and the grouping of the passes do not matter.
+
+A file of one float32 pass with constant weights (box filter) says all of that in its pixels and
+its header (``spp``). A file of several passes, of half precision or with varying weights has been
+rounded; to be merged exactly it must also hold the sums, as float32 channels that add up to them:
+``sum1.R``, ``sum2.R``, ``sum3.R``, and so on, and ``sum1.weight``, ...
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import BezierError, FileFormatError
+from .images import Image, read_image, write_exr
+
+__all__ = ["Accumulator", "add_file", "merge_files"]
+
+_SUM = re.compile(r"sum\d+\.(.+)")
+_WEIGHT = "weight"
+_TERMS = 6  # six float32 hold any pair of float64 within the range of float32
+
+
+class _ExactSum:
+    """Sum of arrays, kept as an unevaluated pair of float64 arrays."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.high = np.zeros(shape)
+        self.low = np.zeros(shape)
+
+    def add(self, term: np.ndarray | float) -> None:
+        total = self.high + term
+        part = total - self.high
+        self.low += (self.high - (total - part)) + (term - part)
+        self.high = total
+
+    def value(self) -> np.ndarray:
+        return self.high + self.low
+
+    def terms(self) -> list[np.ndarray]:
+        """Return float32 arrays that add up to the sum, largest first; at least one."""
+        rest = _ExactSum(self.high.shape)
+        rest.add(self.high)
+        rest.add(self.low)
+        terms: list[np.ndarray] = []
+        while len(terms) < _TERMS:
+            term = rest.value().astype(np.float32)
+            if terms and not term.any():
+                break
+            terms.append(term)
+            rest.add(-term.astype(np.float64))
+        return terms
+
+
+class Accumulator:
+    """Weighted mean of passes, the same for every order and grouping.
+
+    Parameters
+    ----------
+    variance : bool
+        Also estimate the variance of one sample from the differences between the passes.
+
+    Attributes
+    ----------
+    spp : int
+        Samples per pixel so far.
+    seeds : list of int
+        Seeds of the passes so far.
+    """
+
+    def __init__(self, variance: bool = False) -> None:
+        self.spp = 0
+        self.seeds: list[int] = []
+        self._sums: dict[str, _ExactSum] = {}
+        self._weight: _ExactSum | None = None
+        # West's running update (1979): spp, mean, sum of spp * squared deviation
+        self._spread: dict[str, tuple[np.ndarray, np.ndarray]] | None = {} if variance else None
+        self._count = 0
+
+    def add(
+        self,
+        channels: Mapping[str, np.ndarray],
+        spp: int,
+        seeds: Sequence[int] = (),
+        weight: np.ndarray | None = None,
+    ) -> None:
+        """Add one pass.
+
+        Parameters
+        ----------
+        channels : mapping of str to (H, W) array
+            Developed channels; what is finer than float32 is rounded to it.
+        spp : int
+            Samples per pixel.
+        seeds : sequence of int
+            Seeds used; none may have been used before.
+        weight : (H, W) array, optional
+            Sum of the film's reconstruction weights; by default `spp` everywhere.
+        """
+        self._admit(channels, spp, seeds)
+        self._add_weight(float(spp) if weight is None else _as_float(weight))
+        for name, pixels in channels.items():
+            values = _as_float(pixels)
+            self._sums[name].add(values * (float(spp) if weight is None else _as_float(weight)))
+            if self._spread is not None:
+                mean, squares = self._spread.get(name, (np.zeros(()), np.zeros(())))
+                step = values - mean
+                mean = mean + step * (spp / (self.spp + spp))
+                self._spread[name] = mean, squares + spp * step * (values - mean)
+        self._count += 1
+        self.spp += spp
+        self.seeds += seeds
+
+    def add_sums(
+        self,
+        sums: Mapping[str, Sequence[np.ndarray]],
+        weight: Sequence[np.ndarray],
+        spp: int,
+        seeds: Sequence[int] = (),
+    ) -> None:
+        """Add sums of several passes, as `sums` gives them: by channel, arrays to be added."""
+        self._admit({name: terms[0] for name, terms in sums.items()}, spp, seeds)
+        for term in weight:
+            self._add_weight(_as_float(term))
+        for name, terms in sums.items():
+            for term in terms:
+                self._sums[name].add(_as_float(term))
+        self._spread = None  # not known within these passes
+        self.spp += spp
+        self.seeds += seeds
+
+    def _admit(self, channels: Mapping[str, np.ndarray], spp: int, seeds: Sequence[int]) -> None:
+        shapes = {np.shape(pixels) for pixels in channels.values()}
+        if not self._sums:
+            if len(shapes) != 1:
+                raise BezierError.expected("channels", "at least one, all of one size", shapes)
+            (shape,) = shapes
+            self._sums = {name: _ExactSum(shape) for name in channels}
+            self._weight = _ExactSum(shape)
+        if channels.keys() != self._sums.keys():
+            raise BezierError.expected(
+                "channels", ", ".join(sorted(self._sums)), ", ".join(sorted(channels))
+            )
+        expected = next(iter(self._sums.values())).high.shape
+        if shapes != {expected}:
+            raise BezierError.expected("size", "{1} x {0}".format(*expected), f"{sorted(shapes)}")
+        if not 0 < spp < 2**28:  # beyond, spp times a float32 would not be exact
+            raise BezierError.expected("spp", "a number of samples from 1 to 2^28", spp)
+        again = sorted(set(self.seeds) & set(seeds))
+        if again:
+            raise BezierError.expected(
+                "seed", "seeds not merged before", ", ".join(map(str, again))
+            )
+
+    def _add_weight(self, weight: np.ndarray | float) -> None:
+        assert self._weight is not None
+        self._weight.add(weight)
+
+    def mean(self) -> dict[str, np.ndarray]:
+        """Return the mean as float32 channels; 0 where nothing was sampled."""
+        if self._weight is None:
+            raise BezierError.expected("passes", "at least one", "none")
+        weight = self._weight.value()
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return {
+                name: np.where(weight == 0, 0.0, total.value() / weight).astype(np.float32)
+                for name, total in self._sums.items()
+            }
+
+    def sums(self) -> dict[str, np.ndarray]:
+        """Return the channels ``sum1.R``, ... that let a file be merged exactly."""
+        if self._weight is None:
+            raise BezierError.expected("passes", "at least one", "none")
+        return {
+            f"sum{index}.{name}": term
+            for name, total in {**self._sums, _WEIGHT: self._weight}.items()
+            for index, term in enumerate(total.terms(), 1)
+        }
+
+    def variance(self) -> dict[str, np.ndarray]:
+        """Return ``variance.R``, ...: the variance of one sample, float32.
+
+        With the pass means m_i of n_i samples: ``sum n_i (m_i - m)^2 / (passes - 1)``. It holds
+        for any reconstruction filter, whose neighbouring pixels share samples.
+
+        Raises
+        ------
+        BezierError
+            If it was not asked for, or there were fewer than two passes.
+        """
+        if not self._spread or self._count < 2:
+            raise BezierError.expected(
+                "passes", "two or more passes and variance=True", self._count
+            )
+        return {
+            f"variance.{name}": (squares / (self._count - 1)).astype(np.float32)
+            for name, (_, squares) in self._spread.items()
+        }
+
+
+def _as_float(pixels: np.ndarray) -> np.ndarray:
+    return np.asarray(pixels, dtype=np.float32).astype(np.float64)
+
+
+def _integers(image: Image, key: str) -> list[int]:
+    """Return the integers of a header attribute, a number or text with spaces between."""
+    value = image.attributes.get(key)
+    try:
+        return [] if value is None else [int(word) for word in str(value).split()]
+    except ValueError:
+        raise FileFormatError.expected(
+            f"{image.path}: {key}", "whole numbers", f"{value!r}"
+        ) from None
+
+
+def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
+    """Add a part to `total`; return whether that was exact.
+
+    Raises
+    ------
+    FileFormatError
+        If the header lacks ``spp`` or ``seed``, a seed comes twice, size or channels do not fit
+        those before, channels are integers, or a pixel is not finite.
+    """
+    name = str(image.path)
+    spp, seeds = _integers(image, "spp"), _integers(image, "seeds") or _integers(image, "seed")
+    if len(spp) != 1:
+        raise FileFormatError.expected(f"{name}: spp", "the header attribute spp", "none")
+    if not seeds:
+        raise FileFormatError.expected(f"{name}: seed", "the header attribute seed", "none")
+    kinds = {pixels.dtype for pixels in image.channels.values()}
+    if np.dtype(np.uint32) in kinds:
+        raise FileFormatError.expected(name, "channels of floats", "integers, which have no mean")
+    bad = ~np.logical_and.reduce([np.isfinite(p) for p in image.channels.values()])
+    if bad.any() and not allow_nan:
+        raise FileFormatError.expected(
+            name, "finite pixels (or --allow-nan)", f"{np.count_nonzero(bad)} with NaN or infinity"
+        )
+    sums: dict[str, list[np.ndarray]] = {}
+    for channel in sorted(image.channels):
+        if match := _SUM.fullmatch(channel):
+            sums.setdefault(match.group(1), []).append(image.channels[channel])
+    weight = sums.pop(_WEIGHT, None)
+    try:
+        with np.errstate(invalid="ignore"):
+            if weight is not None:
+                total.add_sums(sums, weight, spp[0], seeds)
+                return True
+            total.add(image.channels, spp[0], seeds)
+    except BezierError as error:
+        raise FileFormatError(f"{name}: {error}") from None
+    passes = max([*_integers(image, "passes"), len(seeds)])
+    constant = image.attributes.get("rfilter", "box") == "box"
+    return passes == 1 and constant and kinds == {np.dtype(np.float32)}
+
+
+def merge_files(
+    parts: Iterable[str | os.PathLike[str]],
+    output: str | os.PathLike[str],
+    command: str = "",
+    keep_sums: bool = False,
+    allow_nan: bool = False,
+) -> tuple[Accumulator, list[str]]:
+    """Merge EXR files and write the result.
+
+    The header keeps the attributes that all parts share; ``spp``, ``seed``, ``seeds``,
+    ``passes`` and ``command`` are those of the whole.
+
+    Parameters
+    ----------
+    parts : paths
+        Files of float channels of one size, with ``spp`` and ``seed`` in the header.
+    output : path
+        Half precision if all parts are, else float32.
+    command : str
+        Written to the header.
+    keep_sums : bool
+        Also write the sums, so that the result can itself be merged exactly.
+    allow_nan : bool
+        Let pixels pass that are not finite; they stay so.
+
+    Returns
+    -------
+    Accumulator, list of str
+        What was merged, and the files that had been rounded before.
+
+    Raises
+    ------
+    FileFormatError
+        If a part cannot be used, see `add_file`.
+    """
+    total = Accumulator()
+    rounded: list[str] = []
+    first: Image | None = None
+    shared: dict[str, Any] = {}
+    half = True
+    passes = 0
+    for path in parts:
+        image = read_image(path)
+        if image.encoding != "linear":
+            raise FileFormatError.expected(str(path), "an EXR file", "a PNG file")
+        if first is None:
+            first, shared = image, dict(image.attributes)
+        if (image.offset, image.full_size) != (first.offset, first.full_size):
+            raise FileFormatError.expected(
+                f"{path}: crop",
+                f"{first.offset} of {first.full_size}",
+                f"{image.offset} of {image.full_size}",
+            )
+        if not add_file(total, image, allow_nan):
+            rounded.append(str(path))
+        shared = {k: v for k, v in shared.items() if image.attributes.get(k) == v}
+        plain = [p.dtype for n, p in image.channels.items() if not _SUM.fullmatch(n)]
+        half = half and set(plain) == {np.dtype(np.float16)}
+        passes += max([1, *_integers(image, "passes")])
+    if first is None:
+        raise FileFormatError.expected("parts", "at least one file", "none")
+    channels = total.mean()
+    if half:
+        top = np.finfo(np.float16).max  # a larger pixel would become infinite
+        channels = {n: np.clip(p, -top, top).astype(np.float16) for n, p in channels.items()}
+    if keep_sums:
+        channels |= total.sums()
+    shared |= {
+        "spp": total.spp,
+        "seed": min(total.seeds),
+        "seeds": " ".join(map(str, sorted(total.seeds))),
+        "passes": passes,
+        "command": command,
+    }
+    write_exr(output, channels, shared, first.offset, first.full_size)
+    return total, rounded
