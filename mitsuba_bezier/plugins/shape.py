@@ -20,7 +20,7 @@ _versions = itertools.count(1)
 def make_shape_class() -> type:
     """Return the class for the variant that is set now."""
 
-    class BezierTriangle(mi.Mesh): 
+    class BezierTriangle(mi.Mesh):
         r"""
         .. _shape-beziertriangle:
 
