@@ -58,7 +58,7 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
     records[:, 0:3] = leaves.shift
     records[:, 3] = _height(leaves)
     records[:, 4:20] = leaves.frame.reshape(count, 16)
-    records[:, 20:30] = leaves.form
+    records[:, 20:30] = leaves.form[:, :10]
     records[:, 30] = leaves.patch.astype(np.uint32).view(np.float32)
     flags = np.where(leaves.exact, FLAG_EXACT, 0).astype(np.uint32)
     records[:, 31] = flags.view(np.float32)
@@ -66,7 +66,7 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
     domain = np.zeros((count, 16), dtype=np.float32)
     domain[:, :9] = leaves.domain.reshape(count, 9)
     forms = np.zeros((count, 16))
-    forms[:, :10] = leaves.form
+    forms[:, :10] = leaves.form[:, :10]
     forms[:, 10:13] = leaves.shift
 
     graph = ~leaves.exact

@@ -10,7 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.leaves import Leaves, build_leaves
+from ..geometry.leaf_builder import build_leaves
+from ..geometry.leaves import Leaves
 from ..kernels.arrays import types_of, upload
 from ..kernels.patch import affine_partials, evaluate, pack
 from ..kernels.structure import build_structure

@@ -1,0 +1,280 @@
+"""Subdivision of patches into graph leaves, with charts and bounds (see `leaves`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from . import bernstein
+from .leaves import FORM, LeafSettings, Leaves
+from .triangles import BezierTriangles
+
+__all__ = ["subdivide"]
+
+
+def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> Iterator[Leaves]:
+    """Yield the leaves of one chunk of patches, level by level."""
+    n = bernstein.degree_of(nets.shape[1])
+    domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
+    for depth in range(settings.max_depth + 1):
+        leaves, good = _graph_leaves(nets, domain, patch, settings)
+        if depth == settings.max_depth:
+            good = np.ones(len(nets), dtype=bool)
+        yield leaves.select(good)
+        rest = ~good
+        if not rest.any():
+            return
+        nets, domain, patch = nets[rest], domain[rest], patch[rest]
+        collapsed = _collapsed_edge(nets)
+        turned = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+        parts = []
+        for edge in range(-1, 3):
+            mask = collapsed == edge
+            if not mask.any():
+                continue
+            if edge < 0:
+                corners = bernstein.SPLIT_CORNERS
+            else:  # corner opposite the collapsed edge comes first
+                order = turned[edge]
+                corners = _COLLAPSED_SPLIT[:, :, np.argsort(order)]
+            matrices = (
+                bernstein.split_matrices(n)
+                if edge < 0
+                else np.stack([bernstein.subdivision_matrix(n, c) for c in corners])
+            )
+            new_nets = np.einsum("ekl,plc->pekc", matrices, nets[mask])
+            # rows of `corners` are barycentrics of the new corners: columns of the domain map
+            new_domain = np.einsum("pij,ekj->peik", domain[mask], corners)
+            count = len(corners)
+            parts.append(
+                (
+                    new_nets.reshape(-1, *nets.shape[1:]),
+                    new_domain.reshape(-1, 3, 3),
+                    np.repeat(patch[mask], count),
+                )
+            )
+        nets = np.concatenate([p[0] for p in parts])
+        domain = np.concatenate([p[1] for p in parts])
+        patch = np.concatenate([p[2] for p in parts])
+
+
+#: Split of a triangle whose edge BC is collapsed: the tip, the part that keeps corner B as an
+#: ordinary corner, and a half-sized triangle that is collapsed again. Midpoint splits would
+#: double the number of collapsed leaves at every level.
+_COLLAPSED_SPLIT = (
+    np.array(
+        [
+            [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
+            [[1, 1, 0], [0, 2, 0], [1, 0, 1]],
+            [[1, 0, 1], [0, 2, 0], [0, 0, 2]],
+        ],
+        dtype=np.float64,
+    )
+    / 2
+)
+
+
+def _affine(net: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return net[..., :3] / net[..., 3:]
+
+
+def _collapsed_edge(nets: np.ndarray) -> np.ndarray:
+    """Return the corner opposite a collapsed edge, or -1."""
+    n = bernstein.degree_of(nets.shape[1])
+    ijk = bernstein.multi_indices(n)
+    edges = [nets[:, ijk[:, c] == 0] for c in range(3)]
+    spread = []
+    for e in edges:
+        unit = e / np.maximum(np.linalg.norm(e, axis=-1, keepdims=True), 1e-300)
+        # projective distance to the first control point: zero for equal points of any weight
+        dot = np.abs(np.einsum("pkc,pc->pk", unit, unit[:, 0]))
+        spread.append(np.sqrt(np.maximum(0.0, 1.0 - dot**2)).max(axis=1))
+    s = np.stack(spread, axis=1)
+    corner = s.argmin(axis=1)
+    lowest = s.min(axis=1)
+    # an edge a thousandth as long as the others counts as collapsed
+    return np.where(lowest < 1e-3 * np.sort(s, axis=1)[:, 1], corner, -1)
+
+
+def _normalise_weights(nets: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scale the corner weights to one by a Möbius change of the barycentrics.
+
+    Returns the nets, the factors ``m`` with ``u_patch ~ m u_leaf``, and whether the leaf is
+    finite: all weights of one sign.
+    """
+    w = nets[..., 3]
+    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    finite = sign != 0
+    nets = nets * np.where(finite, sign, 1.0)[:, None, None]
+    corners = nets[:, bernstein.corner_rows(n)]
+    size = np.where(finite[:, None], corners[..., 3], np.linalg.norm(corners, axis=-1))
+    # a corner that is the zero vector cannot be scaled
+    m = np.where(size > 0, size, 1.0) ** (-1.0 / n)
+    ijk = bernstein.multi_indices(n)
+    nets = nets * np.prod(m[:, None, :] ** ijk[None], axis=-1)[..., None]
+    return nets, m, finite
+
+
+def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return shift ``(L, 3)`` and frame ``(L, 4, 4)``, both rounded to float32."""
+    corners = nets[:, bernstein.corner_rows(n)]
+    rows = np.zeros((len(nets), 4, 4))
+    with np.errstate(all="ignore"):
+        p = _affine(corners)
+        normal = np.cross(p[:, 0] - p[:, 2], p[:, 1] - p[:, 2])
+        area2 = np.linalg.norm(normal, axis=1)
+        unit = normal / area2[:, None] * np.sqrt(area2)[:, None]
+    shift = np.where(finite[:, None], p[:, 2], 0.0)
+    shift = np.where(np.isfinite(shift), shift, 0.0).astype(np.float32).astype(np.float64)
+    basis = corners.copy()  # rows P0, P1, P2
+    basis[..., :3] -= basis[..., 3:] * shift[:, None]
+    apex = np.zeros((len(nets), 4))
+    apex[:, :3] = unit
+    scale = np.linalg.norm(basis, axis=-1)
+    with np.errstate(all="ignore"):
+        # fourth point of a projective chart: orthogonal to the corners, of their size
+        _u, _s, vt = np.linalg.svd(np.where(np.isfinite(basis), basis, 0.0))
+    apex = np.where(finite[:, None], apex, vt[:, 3] * scale.mean(axis=1)[:, None])
+    basis = np.concatenate([basis, apex[:, None]], axis=1)
+    usable = np.isfinite(basis).all(axis=(1, 2))
+    basis[~usable] = np.eye(4)
+    usable &= np.abs(np.linalg.det(basis)) > 1e-30
+    basis[~usable] = np.eye(4)
+    inverse = np.linalg.inv(basis.transpose(0, 2, 1))  # coordinates (U0, U1, U2, s)
+    rows[:, 0], rows[:, 1], rows[:, 2] = inverse[:, 0], inverse[:, 1], inverse[:, 3]
+    rows[:, 3] = inverse[:, :3].sum(axis=1)
+    # the affine chart's origin is the shift itself, so only a 3x3 matrix is left
+    rows[finite & usable, :3, 3] = 0.0
+    rows[finite & usable, 3] = (0.0, 0.0, 0.0, 1.0)
+    with np.errstate(over="ignore"):
+        rounded = rows.astype(np.float32).astype(np.float64)
+    bad = ~usable | ~np.isfinite(rounded).all(axis=(1, 2))
+    rounded[bad] = np.eye(4)
+    return shift, rounded
+
+
+def _graph_leaves(
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+) -> tuple[Leaves, np.ndarray]:
+    """Fit a chart to each net and tell which are good leaves."""
+    n = bernstein.degree_of(nets.shape[1])
+    nets, moebius, finite = _normalise_weights(nets, n)
+    shift, frame = _charts(nets, finite, n)
+    moved = nets.copy()
+    moved[..., :3] -= moved[..., 3:] * shift[:, None]
+    chart = np.einsum("lrc,lkc->lkr", frame, moved)  # x, y, z, W
+    w = chart[..., 3]
+    with np.errstate(all="ignore"):
+        flat = chart[..., :3] / w[..., None]
+        spread = np.abs(w - 1).max(axis=1)
+        out = np.stack([-flat[..., 0], -flat[..., 1], flat[..., 0] + flat[..., 1] - 1], axis=-1)
+        margin = np.maximum(out.max(axis=(1, 2)), 0.0) + 1e-6
+        lateral, remainder, variation, bending, quadratics, height = _bounds(chart, margin, n)
+        good = (
+            (w > 0).all(axis=1)
+            & (spread <= settings.weight)
+            & (margin <= settings.lateral)
+            & (lateral <= settings.lateral)
+            & (remainder <= settings.remainder)
+            & (height <= settings.height)
+        )
+    form = np.zeros((len(nets), FORM))
+    form[:, :3], form[:, 7:] = quadratics[:, :3], quadratics[:, 3:]
+    form[:, 3], form[:, 4], form[:, 5], form[:, 6] = remainder, variation, bending, margin
+    form[~np.isfinite(form).all(axis=1)] = 0.0
+    deviation = chart.copy()
+    ijk = bernstein.multi_indices(n)
+    deviation[..., 0] -= ijk[:, 0] / n
+    deviation[..., 1] -= ijk[:, 1] / n
+    deviation[..., 3] -= 1.0
+    leaves = Leaves(
+        patch=patch,
+        domain=domain * moebius[:, None, :],
+        exact=np.zeros(len(nets), dtype=bool),
+        shift=shift,
+        frame=frame,
+        form=form,
+        net=bernstein.monomial_matrix(n) @ deviation,
+        box=BezierTriangles(nets).bounds(),
+        certified=good.copy(),
+        group=np.full(len(nets), -1),
+    )
+    return leaves, good
+
+
+#: Safety factor on bounds taken from samples: the quantities are smooth on a leaf, and 21
+#: samples of a function whose third-order part is below ``remainder`` miss a few per cent.
+_SAFETY = 1.25
+
+
+def _bounds(chart: np.ndarray, margin: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
+    """Sample the bounds of the module's docstring on the enlarged triangle."""
+    lattice = bernstein.multi_indices(5)[:, :2] / 5.0
+    grow = 1.0 + 6.0 * np.minimum(margin, 0.3)[:, None, None]
+    uv = 1 / 3 + (lattice[None] - 1 / 3) * grow
+    du, dv = bernstein.partials_matrices(n)
+    b0, b1 = bernstein.basis(n, uv), bernstein.basis(n - 1, uv)
+    value = b0 @ chart
+    net_u, net_v = du @ chart, dv @ chart
+    hu, hv = b1 @ net_u, b1 @ net_v
+    if n >= 2:
+        du1, dv1 = bernstein.partials_matrices(n - 1)
+        b2 = bernstein.basis(n - 2, uv)
+        huu, huv, hvv = b2 @ (du1 @ net_u), b2 @ (du1 @ net_v), b2 @ (dv1 @ net_v)
+    else:
+        huu = huv = hvv = np.zeros_like(value)
+    inv = 1.0 / value[..., 3:]
+    p = value[..., :3] * inv
+    pu = (hu[..., :3] - p * hu[..., 3:]) * inv
+    pv = (hv[..., :3] - p * hv[..., 3:]) * inv
+    wu, wv = hu[..., 3:], hv[..., 3:]
+    puu = (huu[..., :3] - p * huu[..., 3:] - 2 * pu * wu) * inv
+    puv = (huv[..., :3] - p * huv[..., 3:] - pu * wv - pv * wu) * inv
+    pvv = (hvv[..., :3] - p * hvv[..., 3:] - 2 * pv * wv) * inv
+    jac = np.stack([pu[..., :2], pv[..., :2]], axis=-1)  # d(x, y)/d(u, v)
+    lateral = np.linalg.norm(jac - np.eye(2), axis=(-2, -1)).max(axis=1)
+    det = jac[..., 0, 0] * jac[..., 1, 1] - jac[..., 0, 1] * jac[..., 1, 0]
+    jinv = (
+        np.stack(
+            [
+                np.stack([jac[..., 1, 1], -jac[..., 0, 1]], axis=-1),
+                np.stack([-jac[..., 1, 0], jac[..., 0, 0]], axis=-1),
+            ],
+            axis=-2,
+        )
+        / det[..., None, None]
+    )
+    slope = np.einsum("...i,...ij->...j", np.stack([pu[..., 2], pv[..., 2]], axis=-1), jinv)
+    second = np.stack([np.stack([puu, puv], axis=-1), np.stack([puv, pvv], axis=-1)], axis=-1)
+    # second[..., c, i, j]: Hess of coordinate c in (u, v)
+    graph = second[..., 2, :, :] - np.einsum("...c,...cij->...ij", slope, second[..., :2, :, :])
+    hess = np.einsum("...ia,...ij,...jb->...ab", jinv, graph, jinv)
+    x, y, z = p[..., 0], p[..., 1], p[..., 2]
+    rest = 1 - x - y
+    design = np.stack([x * y, x * rest, y * rest], axis=-1)
+    usable = np.isfinite(design).all(axis=(1, 2)) & np.isfinite(z).all(axis=1)
+    design = np.where(usable[:, None, None], design, 0.0)
+    gram = np.einsum("lsa,lsb->lab", design, design) + 1e-12 * np.eye(3)
+    targets = np.stack([z, uv[..., 0] - x, uv[..., 1] - y], axis=-1)
+    targets = np.where(usable[:, None, None], targets, 0.0)
+    fitted = np.linalg.solve(gram, np.einsum("lsa,lst->lat", design, targets))
+    coefficients = fitted[..., 0]
+    a, b, c = coefficients.T
+    remainder = np.abs(z - np.einsum("lsa,la->ls", design, coefficients)).max(axis=1)
+    # Hessian of a xy + b x(1-x-y) + c y(1-x-y)
+    quad = np.stack(
+        [np.stack([-2 * b, a - b - c], axis=-1), np.stack([a - b - c, -2 * c], axis=-1)], axis=-2
+    )
+    variation = np.linalg.norm(hess - quad[:, None], axis=(-2, -1)).max(axis=1)
+    bending = 0.5 * np.linalg.norm(hess, axis=(-2, -1)).max(axis=1)
+    height = np.abs(z).max(axis=1)
+    return (
+        lateral,
+        _SAFETY * remainder + 1e-7,  # 1e-7: what float32 makes of a chart coordinate near one
+        _SAFETY * variation + 1e-6,
+        _SAFETY * bending,
+        fitted.transpose(0, 2, 1).reshape(-1, 9),
+        height,
+    )

@@ -1,0 +1,45 @@
+"""From patches to leaves: closed forms first, subdivision for the rest (see `leaves`)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .exact_leaves import exact_leaves
+from .graph_leaves import subdivide
+from .leaves import LeafSettings, Leaves
+from .triangles import BezierTriangles
+
+__all__ = ["build_leaves"]
+
+#: Patches subdivided at a time: bounds the memory of the build, not its result.
+_CHUNK = 4096
+
+
+def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None) -> Leaves:
+    """Cut `patches` into leaves.
+
+    Parameters
+    ----------
+    patches : BezierTriangles
+        Any degree, any weights.
+    settings : LeafSettings, optional
+        Thresholds of the subdivision.
+
+    Returns
+    -------
+    Leaves
+        The domains of the leaves of one patch tile its triangle.
+    """
+    settings = settings or LeafSettings()
+    nets = patches.control_points
+    numbers = np.arange(len(patches))
+    parts: list[Leaves] = []
+    if settings.closed_form:
+        found, exact = exact_leaves(patches)
+        if len(exact) or not len(nets):
+            parts.append(exact)
+        numbers, nets = numbers[~found], nets[~found]
+    for first in range(0, len(numbers), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        parts.extend(subdivide(nets[chunk], numbers[chunk], settings))
+    return Leaves.join(parts)
