@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import _runtime
+from ..errors import BezierError
 from .emitters import EmitterSampling
 from .scene import SceneRays
 
@@ -48,9 +49,15 @@ def make_path_class() -> type:
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
             # the base class has `path`'s rule for -1 but other defaults
-            for key, default in (("max_depth", -1), ("rr_depth", 5)):
+            for key, default, least, words in (
+                ("max_depth", -1, -1, "an integer >= 0, or -1 for no limit"),
+                ("rr_depth", 5, 1, "an integer > 0"),
+            ):
                 if key not in props:
                     props[key] = default
+                value = props[key]
+                if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                    raise BezierError.expected(key, words, repr(value))
             super().__init__(props)
 
         def sample(

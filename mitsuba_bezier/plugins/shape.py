@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import _runtime
-from ..errors import NetError
+from ..errors import BezierError, FileFormatError, NetError
 from ..geometry.triangles import BezierTriangles
 
 __all__ = ["make_shape_class"]
@@ -55,10 +55,10 @@ def make_shape_class() -> type:
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
             patches = _read(props)
-            self._object_to_world = np.array(
-                props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64
-            )
-            flip = bool(props.get("flip_normals", False))
+            self._object_to_world = _affine(props.get("to_world", mi.ScalarTransform4f()))
+            flip = props.get("flip_normals", False)
+            if not isinstance(flip, bool):
+                raise BezierError.expected("flip_normals", "true or false", repr(flip))
             for key in ("control_points", "filename", "to_world", "flip_normals"):
                 if key in props:
                     props.remove_property(key)
@@ -123,9 +123,6 @@ def make_shape_class() -> type:
                 return
             if keys and not {"control_points", "to_world"} & set(keys):
                 return
-            matrix = np.array(self.to_world.matrix, dtype=np.float64)
-            if matrix.ndim == 3:
-                matrix = matrix[..., 0]
             tensor = self.control_points
             values = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
             try:
@@ -134,12 +131,8 @@ def make_shape_class() -> type:
                     values.astype(np.float32), self._object.control_points.astype(np.float32)
                 )
                 patches = self._object if same else BezierTriangles(values)
-                if not np.isfinite(matrix).all() or (matrix[3] != (0, 0, 0, 1)).any():
-                    raise NetError.expected(
-                        "to_world", "a finite affine transformation", matrix.tolist()
-                    )
-                self._commit(patches, matrix)
-            except NetError:
+                self._commit(patches, _affine(self.to_world))
+            except BezierError:
                 self.control_points = _tensor(self._object.control_points)
                 self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
                 raise
@@ -203,6 +196,24 @@ def _tensor(values: np.ndarray) -> Any:
     return mi.TensorXf(values.astype(np.float32).ravel(), shape=values.shape)
 
 
+def _affine(transform: Any) -> np.ndarray:
+    """Return the matrix ``(4, 4)`` of ``to_world``, checked."""
+    if not hasattr(transform, "matrix"):
+        raise BezierError.expected("to_world", "a transformation", repr(transform))
+    matrix = np.array(transform.matrix, dtype=np.float64)
+    if matrix.ndim == 3:
+        matrix = matrix[..., 0]
+    if not np.isfinite(matrix).all() or (matrix[3] != (0, 0, 0, 1)).any():
+        raise BezierError.expected("to_world", "a finite affine transformation", matrix.tolist())
+    # 1e-14: what float64 can invert
+    sigma = np.linalg.svd(matrix, compute_uv=False)
+    if not sigma[-1] > 1e-14 * sigma[0]:
+        raise BezierError.expected(
+            "to_world", "a regular transformation", f"{matrix.tolist()}, which flattens space"
+        )
+    return matrix
+
+
 def _read(props: mi.Properties) -> BezierTriangles:
     """Take the net from exactly one of ``control_points`` and ``filename``."""
     has = [key for key in ("control_points", "filename") if key in props]
@@ -214,14 +225,15 @@ def _read(props: mi.Properties) -> BezierTriangles:
         )
     if has == ["control_points"]:
         tensor = props["control_points"]
-        if isinstance(tensor, BezierTriangles):
-            return tensor
-        shape = getattr(tensor, "shape", None)
-        values = np.array(tensor, dtype=np.float64)
-        return BezierTriangles(values.reshape(shape) if shape is not None else values)
+        if not hasattr(tensor, "shape"):
+            raise NetError.expected("control_points", "a tensor of shape (P, K, 4)", repr(tensor))
+        return BezierTriangles(np.array(tensor, dtype=np.float64).reshape(tensor.shape))
     from ..io import load
 
     name = props["filename"]
     if not isinstance(name, str):
         raise NetError.expected("filename", "the name of a file", repr(name))
-    return load(str(mi.file_resolver().resolve(name)))
+    try:
+        return load(str(mi.file_resolver().resolve(name)))
+    except FileFormatError as error:
+        raise FileFormatError(f"filename: {str(error).removeprefix('path: ')}") from None
