@@ -193,6 +193,13 @@ def test_whole_ellipse_has_positive_weights():
         assert (arc.weights > 0).all()
         x, y = arc.points(S).T
         np.testing.assert_allclose(x**2 / 4 + y**2, 1, rtol=1e-14)
+    rng = np.random.default_rng(0)
+    for _ in range(20):  # any ellipse, whatever signs the eigenvectors come with
+        m = np.eye(3)
+        m[:2] = rng.normal(size=(2, 3))
+        inverse = np.linalg.inv(m)
+        for arc in conics.conic_arcs(1e250 * inverse.T @ CIRCLE @ inverse):
+            assert (arc.weights > 0).all()
 
 
 CONICS = {
@@ -235,7 +242,11 @@ def test_classification_is_affine(name, seed):
         (lambda: conics.ellipse_arc((0, 0), (1, 0), (0, 1), 1, 1), "full turn"),
         (lambda: conics.ellipse_arc((0, np.nan), (1, 0), (0, 1), 0, 1), "finite"),
         (lambda: conics.circle((0, 0), -1), "radius"),
-        (lambda: conics.circle((0, 0), 1, 1), "2 or more arcs"),
+        (lambda: conics.circle((0, 0), 1, 1), "integer >= 2"),
+        (lambda: conics.circle((0, 0), 1, 2.5), "integer >= 2"),
+        (lambda: conics.circle((0, 0), None), "radius"),
+        (lambda: conics.parabola_arc((0, 0), (1, 0), (0, 1), np.nan), "start"),
+        (lambda: conics.parabola_arc((0, 0), (1, 0), (0, 1), 0, -np.inf), "end"),
         (lambda: conics.parabola_arc((0, 0), (1, 0), (0, 1), 2, 1), "start < end"),
         (lambda: conics.parabola_arc((0, 0), (1, 0), (1, 0), 0, 1), "independent vectors"),
         (lambda: conics.hyperbola_arc((0, 0), (1, 0), (0, 1), 1, 1), "two different"),

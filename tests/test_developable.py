@@ -126,6 +126,7 @@ def test_cone_and_cylinder(seed):
     cone = ribbon(2, seed)  # three planes always meet
     apex = cone.apex()
     assert pg.incidence(cone.tangent_plane(T), apex).max() < 1e-14
+    assert all(ribbon(2, 10 * seed + k).apex()[3] > 0 for k in range(10))
     with pytest.raises(GeometryError, match="cone or cylinder"):
         cone.regression_curve()
     net = np.random.default_rng(seed).normal(size=(5, 4))
@@ -175,7 +176,8 @@ def test_collineation_of_the_planes():
     ("call", "error", "says"),
     [
         (lambda s: DevelopableSurface(np.eye(4)[:2]), NetError, "n >= 2"),
-        (lambda s: DevelopableSurface(np.full((4, 4), np.nan)), NetError, "finite"),
+        (lambda s: DevelopableSurface(np.full((4, 4), np.nan)), GeometryError, "finite"),
+        (lambda s: DevelopableSurface("ab"), GeometryError, "numbers"),
         (
             lambda s: DevelopableSurface([[1, 0, 0, 0], [0, 1, 0, 0], [1, 1, 0, 0]]),
             GeometryError,

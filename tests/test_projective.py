@@ -40,6 +40,11 @@ def test_points_weights_and_infinity():
         (lambda: pg.affine([1, 2, 0.0]), "ideal point"),
         (lambda: pg.point([1, 2], 0), "other than 0"),
         (lambda: pg.point([1, np.nan]), "finite"),
+        (lambda: pg.point([[1, 2], [3, 4]], [1, 2, 3]), "weight"),
+        (lambda: pg.point("ab"), "numbers"),
+        (lambda: pg.point([1j, 2]), "real numbers"),
+        (lambda: pg.join(np.ones((2, 4)), np.ones((3, 4))), "broadcast"),
+        (lambda: pg.incidence(np.ones((2, 4)), np.ones((3, 4))), "broadcast"),
         (lambda: pg.point(3.0), "coordinates"),
         (lambda: pg.ideal([0, 0, 0]), "zero vector"),
         (lambda: pg.join([1, 2, 3], [2, 4, 6]), "the same element twice"),
@@ -124,6 +129,17 @@ def test_signs():
     assert pg.meet([1, 0, 0, -1], [0, 1, 0, -2], [0, 0, 1, -3]).tolist() == [1, 2, 3, 1]
     # plane: the line through (0,0) and (1,0) has its positive side where y > 0
     assert pg.join([0, 0, 1], [1, 0, 1]) @ [0, 1, 1] > 0
+
+
+def test_factors_of_any_size():
+    p, q, r = np.random.default_rng(0).normal(size=(3, 4))
+    plane = pg.join(p, q, r)
+    for factor in (1e-200, 1e-300, 1e200, 1e300):
+        assert apart(pg.join(factor * p, q, factor * r), plane) < 1e-15
+        assert pg.incidence(factor * p, plane / factor) < 1e-15
+        # a pair of numbers (1, 3) of coordinates 0, 1, ∞ has the cross ratio 1/3
+        value = cr.cross_ratio([factor, 0], [1, 1], [factor, 3 * factor], [0, 1])
+        assert value == pytest.approx(1 / 3, rel=1e-14)
 
 
 def test_parallels_meet_at_infinity():
@@ -220,6 +236,8 @@ def test_point_from_cross_ratio_at_the_ends_and_bad_input():
     assert apart(cr.point_from_cross_ratio(a, b, d, 0.0), d) < 1e-14
     assert apart(cr.point_from_cross_ratio(a, b, d, (1.0, 0.0)), a) < 1e-14
     for arguments, says in [
+        ((a, b, d, None), "value"),
+        ((np.ones((2, 3)), np.ones((3, 3)), d, 1.0), "broadcast"),
         ((a, b, a, 2.0), "two different"),
         ((a, a, d, 2.0), "other than a and d"),
         ((a, d, d, 2.0), "other than a and d"),

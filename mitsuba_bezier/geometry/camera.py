@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
-from .curves import parameters
-from .projective import TOLERANCE, elements, ideal, norm, point
+from .projective import TOLERANCE, elements, ideal, norm, number, numbers, point
 
 __all__ = ["Camera", "fov_of_focal_length", "horizontal_fov", "look_at"]
 
@@ -50,7 +49,7 @@ def horizontal_fov(fov: float, fov_axis: str, film_size: Any) -> float:
     width, height = _pair("film_size", film_size, 1)
     if fov_axis not in AXES:
         raise GeometryError.expected("fov_axis", "one of " + ", ".join(AXES), repr(fov_axis))
-    if not 0 < fov < 180:
+    if not 0 < number(fov, "fov") < 180:
         raise GeometryError.expected("fov", "an angle between 0 and 180 degrees", fov)
     aspect = width / height
     half = np.tan(np.radians(fov) / 2)
@@ -67,8 +66,8 @@ def fov_of_focal_length(millimetres: float) -> float:
 
     Mitsuba's ``focal_length``, 50 where a sensor has neither that nor ``fov``.
     """
-    if not (np.isfinite(millimetres) and millimetres > 0):
-        raise GeometryError.expected("millimetres", "a finite number > 0", millimetres)
+    if not number(millimetres, "millimetres") > 0:
+        raise GeometryError.expected("millimetres", "a number > 0", millimetres)
     return float(2 * np.degrees(np.arctan(np.hypot(36, 24) / (2 * millimetres))))
 
 
@@ -80,7 +79,7 @@ def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> np.ndarray:
     GeometryError
         If origin and target coincide or `up` is parallel to the view.
     """
-    o, t, u = (parameters(x, n) for x, n in ((origin, "origin"), (target, "target"), (up, "up")))
+    o, t, u = (numbers(x, n) for x, n in ((origin, "origin"), (target, "target"), (up, "up")))
     if not o.shape == t.shape == u.shape == (3,):
         raise GeometryError.expected("origin, target, up", "vectors of 3 numbers", f"{o.shape}")
     view = t - o
@@ -96,9 +95,10 @@ def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> np.ndarray:
 
 
 def _pair(name: str, value: Any, least: float) -> np.ndarray:
-    out = parameters(value, name)
+    out = numbers(value, name)
     if out.shape != (2,) or (out < least).any():
-        raise GeometryError.expected(name, f"two numbers of at least {least:g}", out.tolist())
+        bound = f" of at least {least:g}" if np.isfinite(least) else ""
+        raise GeometryError.expected(name, "two numbers" + bound, out.tolist())
     return out
 
 
@@ -151,7 +151,7 @@ class Camera:
         near_clip: float = 1e-2,
         far_clip: float = 1e4,
     ) -> None:
-        m = parameters(to_world, "to_world")
+        m = numbers(to_world, "to_world")
         rigid = m.shape == (4, 4) and np.array_equal(m[3], [0, 0, 0, 1])
         if not rigid or np.abs(m[:3, :3].T @ m[:3, :3] - np.eye(3)).max() > 1e-5:
             raise GeometryError.expected(
@@ -167,7 +167,7 @@ class Camera:
                 f"{offset.tolist()}, {crop.tolist()}",
             )
         shift = _pair("principal_point_offset", principal_point_offset, -np.inf)
-        if not (np.isfinite([near_clip, far_clip]).all() and 0 < near_clip < far_clip):
+        if not 0 < number(near_clip, "near_clip") < number(far_clip, "far_clip"):
             raise GeometryError.expected(
                 "near_clip, far_clip", "0 < near_clip < far_clip", f"{near_clip}, {far_clip}"
             )
@@ -213,7 +213,7 @@ class Camera:
                     "values", "the parameters of a perspective sensor", f"no {prefix + key!r}"
                 )
             if shape == (4, 4):
-                value = value.matrix
+                value = getattr(value, "matrix", value)
             # a JIT variant adds an axis of length 1
             return np.asarray(value, dtype=np.float64).reshape(shape)
 
@@ -259,7 +259,7 @@ class Camera:
         GeometryError
             If a point is not in front of the camera.
         """
-        x = parameters(points, "points")
+        x = numbers(points, "points")
         if x.ndim == 0 or x.shape[-1] != 3:
             raise GeometryError.expected("points", "three coordinates a point", f"shape {x.shape}")
         image = self.image(point(x))
@@ -296,7 +296,7 @@ class Camera:
 
     def direction(self, pixel: Any) -> np.ndarray:
         """Return the direction ``(..., 3)`` of depth 1 in which pixels ``(..., 2)`` look."""
-        x = parameters(pixel, "pixel")
+        x = numbers(pixel, "pixel")
         if x.ndim == 0 or x.shape[-1] != 2:
             raise GeometryError.expected("pixel", "two numbers a pixel", f"shape {x.shape}")
         return point(x) @ np.linalg.inv(self.image_matrix[:, :3]).T

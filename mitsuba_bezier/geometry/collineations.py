@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
-from .projective import TOLERANCE, elements, incidence, norm, plucker_matrix
+from .projective import TOLERANCE, elements, incidence, norm, number, numbers, plucker_matrix
 
 __all__ = [
     "central_projection",
@@ -32,13 +32,10 @@ def matrix(name: str, value: Any, shapes: tuple[tuple[int, int], ...]) -> np.nda
     GeometryError
         If it has none of the `shapes`, is not finite or not of full rank.
     """
-    try:
-        out = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise GeometryError.expected(name, "a matrix of numbers", error) from None
-    if out.shape not in shapes or not np.isfinite(out).all():
+    out = numbers(value, name)
+    if out.shape not in shapes:
         kinds = " or ".join(f"{r}x{c}" for r, c in shapes)
-        raise GeometryError.expected(name, f"a finite {kinds} matrix", f"shape {out.shape}")
+        raise GeometryError.expected(name, f"a {kinds} matrix", f"shape {out.shape}")
     sigma = np.linalg.svd(out, compute_uv=False)
     if not sigma[-1] > 1e-14 * sigma[0]:  # as BezierTriangles.transform
         raise GeometryError.expected(
@@ -108,8 +105,8 @@ def collineation(source: Any, target: Any) -> np.ndarray:
     source, target : (N, c) array_like
         Pairs of homogeneous points, ``c = 2`` on a line, 3 in the plane, 4 in space. For
         ``N = c + 1`` points in general position the result is exact; for more it minimises
-        the sum of squares of the exterior products ``target ∧ M source`` after both sides
-        have been brought to unit vectors with unit second moments.
+        the sum of squares of the exterior products ``target ∧ M source`` of unit vectors, after
+        both sides have been brought to unit second moments.
 
     Returns
     -------
@@ -135,7 +132,6 @@ def collineation(source: Any, target: Any) -> np.ndarray:
     else:
         hs, ht = _whitening(s, "source"), _whitening(t, "target")
         a, b = s @ hs, t @ ht
-        a, b = a / norm(a)[:, None], b / norm(b)[:, None]
         # b_i (M a)_j - b_j (M a)_i = 0 for all i < j, linear in the rows of M
         rows = []
         for i in range(c):
@@ -213,6 +209,6 @@ def homology(center: Any, axis: Any, factor: float) -> np.ndarray:
         If the centre is on the axis, or `factor` is zero or not finite.
     """
     c, e, ce = _centre_and_axis(center, axis)
-    if not np.isfinite(factor) or factor == 0:
-        raise GeometryError.expected("factor", "a finite number other than 0", factor)
+    if number(factor, "factor") == 0:
+        raise GeometryError.expected("factor", "a number other than 0", factor)
     return np.eye(len(c)) + (factor - 1) * np.outer(c, e) / ce

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
-from .curves import BezierCurve, parameters
-from .projective import TOLERANCE, elements, meet, norm
+from .curves import BezierCurve
+from .projective import TOLERANCE, count, elements, meet, norm, number, numbers
 
 __all__ = [
     "circle",
@@ -40,7 +40,7 @@ ZERO = 1e-10
 
 def _vectors(**items: Any) -> list[np.ndarray]:
     """Return the named Euclidean vectors, all of length 2 or all of length 3."""
-    out = {k: parameters(v, k) for k, v in items.items()}
+    out = {k: numbers(v, k) for k, v in items.items()}
     shapes = {v.shape for v in out.values()}
     if shapes not in ({(2,)}, {(3,)}):
         raise GeometryError.expected(
@@ -75,7 +75,7 @@ def ellipse_arc(center: Any, u: Any, v: Any, start: float, end: float) -> Bezier
     """
     c, a, b = _vectors(center=center, u=u, v=v)
     _independent(a, b)
-    angles = parameters([start, end], "start, end")
+    angles = numbers([start, end], "start, end")
     half = float(angles[1] - angles[0]) / 2
     if not 0 < abs(half) < np.pi:
         raise GeometryError.expected(
@@ -96,10 +96,8 @@ def ellipse(center: Any, u: Any, v: Any, arcs: int = 3) -> list[BezierCurve]:
     With two arcs the middle points are control vectors; from three on all weights are
     positive. Parameters as for `ellipse_arc`.
     """
-    if arcs < 2:
-        raise GeometryError.expected("arcs", "2 or more arcs", arcs)
     c, a, b = _vectors(center=center, u=u, v=v)
-    angles = np.linspace(0, 2 * np.pi, arcs + 1)
+    angles = np.linspace(0, 2 * np.pi, count(arcs, "arcs", 2) + 1)
     nets = [ellipse_arc(c, a, b, s, e).control_points for s, e in pairwise(angles)]
     nets[-1] = np.concatenate([nets[-1][:2], nets[0][:1]])  # closed to the last bit
     return [BezierCurve(net) for net in nets]
@@ -107,8 +105,8 @@ def ellipse(center: Any, u: Any, v: Any, arcs: int = 3) -> list[BezierCurve]:
 
 def circle(center: Any, radius: float, arcs: int = 3) -> list[BezierCurve]:
     """Return the whole circle of the plane as in `ellipse`, counterclockwise from angle 0."""
-    if not (np.isfinite(radius) and radius > 0):
-        raise GeometryError.expected("radius", "a finite number > 0", radius)
+    if not number(radius, "radius") > 0:
+        raise GeometryError.expected("radius", "a number > 0", radius)
     return ellipse(center, (radius, 0), (0, radius), arcs)
 
 
@@ -131,7 +129,9 @@ def parabola_arc(
     """
     p, u, v = _vectors(vertex=vertex, tangent=tangent, axis=axis)
     _independent(u, v)
-    if not (np.isfinite(start) and start < end):
+    start = number(start, "start")
+    end = np.inf if end == np.inf else number(end, "end")
+    if not start < end:
         raise GeometryError.expected("start, end", "start < end", f"{start}, {end}")
     # 0 <= s <= infinity has the blossom points below; s = t / (1 - t)
     ray = BezierCurve([np.append(p, 1.0), np.append(u / 2, 0.0), np.append(v, 0.0)])
@@ -150,7 +150,7 @@ def hyperbola_arc(center: Any, u: Any, v: Any, start: float, end: float) -> Bezi
     """
     c, a, b = _vectors(center=center, u=u, v=v)
     _independent(a, b)
-    s, e = (float(x) for x in parameters([start, end], "start, end"))
+    s, e = (float(x) for x in numbers([start, end], "start, end"))
     if s == e:
         raise GeometryError.expected("start, end", "two different parameters", f"{s}, {e}")
     half, middle = (e - s) / 2, (e + s) / 2
@@ -177,10 +177,11 @@ def hyperbola_branch(center: Any, u: Any, v: Any) -> BezierCurve:
 
 
 def _symmetric(a: Any) -> np.ndarray:
-    m = parameters(a, "A")
+    m = numbers(a, "A")
     if m.shape != (3, 3) or not m.any():
         raise GeometryError.expected("A", "a symmetric 3x3 matrix, not zero", f"shape {m.shape}")
-    if np.abs(m - m.T).max() > TOLERANCE * np.abs(m).max():
+    m = m / np.abs(m).max()
+    if np.abs(m - m.T).max() > TOLERANCE:
         raise GeometryError.expected("A", "a symmetric 3x3 matrix", "one that is not")
     return (m + m.T) / (2 * np.linalg.norm(m))
 

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
-from .projective import TOLERANCE, affine, elements, norm
+from .projective import TOLERANCE, affine, elements, norm, number, same_shape
 
 __all__ = ["affine_ratio", "cross_ratio", "pencil_coordinates", "point_from_cross_ratio"]
 
 
 def _pencil(parameter: str, vectors: list[np.ndarray], tolerance: float) -> np.ndarray:
     """Return coordinates ``(..., k, 2)`` of vectors within the 2-space that they span."""
+    same_shape(parameter, *vectors)
     v = np.stack(np.broadcast_arrays(*vectors), axis=-2)
     v = v / norm(v)[..., None]
     _u, sigma, vh = np.linalg.svd(v)
@@ -82,7 +83,7 @@ def pencil_coordinates(
     GeometryError
         If `a` and `d` coincide or `x` is not in their pencil.
     """
-    # least squares by the Gram matrix of unit vectors
+    same_shape(parameter, x, a, d)
     na, nd, nx = norm(a), norm(d), norm(x)
     g = np.sum(a * d, axis=-1) / (na * nd)
     a1, d1 = a / na[..., None], d / nd[..., None]
@@ -121,8 +122,9 @@ def point_from_cross_ratio(a: Any, b: Any, d: Any, value: Any) -> np.ndarray:
         not a number.
     """
     va, vb, vd = (elements(n, x, (2, 3, 4, 6)) for n, x in zip("abd", (a, b, d)))
-    above, below = value if isinstance(value, (tuple, list)) else (value, 1.0)
-    if not (np.isfinite([above, below]).all() and (above or below)):
+    pair = value if isinstance(value, (tuple, list)) and len(value) == 2 else (value, 1.0)
+    above, below = (number(x, "value") for x in pair)
+    if not (above or below):
         raise GeometryError.expected("value", "a number or a pair other than (0, 0)", value)
     alpha, delta = pencil_coordinates(vb, va, vd, "a, b, d")
     size = norm(vb)[..., None]
@@ -142,6 +144,7 @@ def affine_ratio(a: Any, b: Any, c: Any, tolerance: float = 1e-9) -> np.ndarray:
         If the points are not collinear, one is ideal, or ``b = c``.
     """
     p, q, r = (affine(x) for x in (a, b, c))
+    same_shape("a, b, c", p, q, r)
     ab, bc, ac = q - p, r - q, r - p
     size = norm(ab) + norm(bc)
     if not (norm(bc) > TOLERANCE * size).all():

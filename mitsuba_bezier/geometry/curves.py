@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import GeometryError, NetError
 from .collineations import matrix
-from .projective import affine, join
+from .projective import affine, count, join, number, numbers
 
 __all__ = ["BezierCurve", "bernstein_product"]
 
@@ -46,26 +46,9 @@ def bernstein_product(
     return out
 
 
-def parameters(t: Any, name: str = "t") -> np.ndarray:
-    """Return `t` as a float64 array of finite numbers.
-
-    Raises
-    ------
-    GeometryError
-        If it is not one.
-    """
-    try:
-        out = np.asarray(t, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise GeometryError.expected(name, "numbers", error) from None
-    if not np.isfinite(out).all():
-        raise GeometryError.expected(name, "finite numbers", out[~np.isfinite(out)][0])
-    return out
-
-
 def _pair(t: Any, name: str) -> np.ndarray:
     """Return the barycentric pair of a parameter: ``(1 - t, t)``, or the pair itself."""
-    value = parameters(t, name)
+    value = numbers(t, name)
     if value.shape == ():
         return np.array([1 - value, value])
     if value.shape != (2,) or not value.any():
@@ -114,10 +97,9 @@ class BezierCurve:
     @classmethod
     def from_points(cls, points: Any, weights: Any = 1.0) -> BezierCurve:
         """Return the curve with Euclidean control points ``(n+1, 2 | 3)`` and weights."""
-        x = np.asarray(points, dtype=np.float64)
+        x, w = numbers(points, "points"), numbers(weights, "weights")
         if x.ndim != 2 or x.shape[1] not in (2, 3):
             raise NetError.expected("points", "shape (n+1, 2) or (n+1, 3)", f"shape {x.shape}")
-        w = np.asarray(weights, dtype=np.float64)
         if w.shape not in ((), (len(x),)):
             raise NetError.expected("weights", f"{len(x)} weights", f"shape {w.shape}")
         w = np.broadcast_to(w, (len(x),))[:, None]
@@ -163,7 +145,7 @@ class BezierCurve:
         t : (...) array_like
             Parameters, not required to lie in [0, 1].
         """
-        t = parameters(t)[..., None]
+        t = numbers(t, "t")[..., None]
         c = self._net.shape[1]
         level = np.broadcast_to(
             self._net.reshape(len(self._net), *(1,) * (t.ndim - 1), c),
@@ -191,9 +173,8 @@ class BezierCurve:
 
     def derivatives(self, t: Any, order: int = 1) -> np.ndarray:
         """Return homogeneous derivatives ``(order+1, ..., 3 | 4)``, from order 0 up."""
-        t = parameters(t)
-        if order < 0:
-            raise GeometryError.expected("order", "an order >= 0", order)
+        t = numbers(t, "t")
+        order = count(order, "order", 0)
         out = np.zeros((order + 1, *t.shape, self._net.shape[1]))
         net, factor = self._net, 1.0
         for k in range(min(order, self.degree) + 1):
@@ -295,17 +276,15 @@ class BezierCurve:
 
     def split(self, t: float = 0.5) -> tuple[BezierCurve, BezierCurve]:
         """Return the pieces before and after `t`, read off de Casteljau's scheme."""
-        scheme = self.de_casteljau(float(t))
+        scheme = self.de_casteljau(number(t, "t"))
         left = np.stack([level[0] for level in scheme])
         right = np.stack([level[-1] for level in scheme[::-1]])
         return BezierCurve(left), BezierCurve(right)
 
     def elevate(self, times: int = 1) -> BezierCurve:
         """Return the same curve as one of degree ``n + times``."""
-        if times < 0:
-            raise NetError.expected("times", "a number of elevations >= 0", times)
         net = self._net
-        for _ in range(times):
+        for _ in range(count(times, "times", 0)):
             m = len(net)
             k = np.arange(1, m)[:, None] / m
             net = np.concatenate([net[:1], k * net[:-1] + (1 - k) * net[1:], net[-1:]])
@@ -321,8 +300,8 @@ class BezierCurve:
         The point at `t` moves to `s` with ``s / (1-s) = t / (1-t) / factor``; a negative factor
         gives the complementary segment.
         """
-        if not np.isfinite(factor) or factor == 0:
-            raise GeometryError.expected("factor", "a finite number other than 0", factor)
+        if number(factor, "factor") == 0:
+            raise GeometryError.expected("factor", "a number other than 0", factor)
         return BezierCurve(self._net * float(factor) ** np.arange(len(self._net))[:, None])
 
     def transform(self, m: Any) -> BezierCurve:
@@ -344,11 +323,11 @@ class BezierCurve:
         GeometryError
             If the matrix is not of this form, or the curve collapses to the centre.
         """
-        a = np.asarray(m, dtype=np.float64)
+        a = numbers(m, "m")
         c = self._net.shape[1]
-        if a.ndim != 2 or a.shape[0] not in (3, 4) or a.shape[1] != c or not np.isfinite(a).all():
+        if a.ndim != 2 or a.shape[0] not in (3, 4) or a.shape[1] != c:
             raise GeometryError.expected(
-                "m", f"a finite matrix of shape (3 or 4, {c})", f"shape {a.shape}"
+                "m", f"a matrix of shape (3 or 4, {c})", f"shape {a.shape}"
             )
         net = self._net @ a.T
         # 1e-14: rounding of a point that the matrix sends to zero

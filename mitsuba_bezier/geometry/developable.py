@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import GeometryError, NetError
 from .curves import BezierCurve, bernstein_product
 from .duality import DualBezierCurve, wedge2, wedge3
-from .projective import TOLERANCE, elements, meet, norm
+from .projective import TOLERANCE, elements, meet, norm, numbers
 
 if TYPE_CHECKING:
     from .triangles import BezierTriangles, Differential
@@ -42,7 +42,7 @@ class DevelopableSurface:
     """
 
     def __init__(self, control_planes: Any) -> None:
-        net = np.asarray(control_planes, dtype=np.float64)
+        net = numbers(control_planes, "control_planes")
         if net.ndim != 2 or net.shape[0] < 3 or net.shape[1] != 4:
             raise NetError.expected(
                 "control_planes", "shape (n+1, 4) with n >= 2", f"shape {net.shape}"
@@ -204,9 +204,9 @@ def developable_residual(net: Any) -> float:
     those of the two tangent lines: rounding (below about 1e-13) if it is developable, of
     order 1 for nets without a pattern.
     """
-    x = np.asarray(net, dtype=np.float64)
-    if x.ndim != 3 or x.shape[0] < 2 or x.shape[1:] != (2, 4) or not np.isfinite(x).all():
-        raise NetError.expected("net", "a finite net of shape (m+1, 2, 4)", f"shape {x.shape}")
+    x = numbers(net, "net")
+    if x.ndim != 3 or x.shape[0] < 2 or x.shape[1:] != (2, 4):
+        raise NetError.expected("net", "a net of shape (m+1, 2, 4)", f"shape {x.shape}")
     a, b = (bernstein_product(c[:-1], c[1:], wedge2) for c in (x[:, 0], x[:, 1]))
     scale = norm(a).max() * norm(b).max()
     if scale == 0:

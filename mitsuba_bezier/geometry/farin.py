@@ -18,8 +18,8 @@ import numpy as np
 
 from ..errors import GeometryError
 from .cross_ratio import pencil_coordinates
-from .curves import BezierCurve, parameters
-from .projective import TOLERANCE, elements, norm
+from .curves import BezierCurve
+from .projective import TOLERANCE, elements, norm, number
 
 __all__ = ["cross_ratio_scheme", "curve_from_farin_points", "evaluate_by_cross_ratios"]
 
@@ -81,9 +81,7 @@ def cross_ratio_scheme(points: Any, farin: Any, t: float) -> list[tuple[np.ndarr
     two lines are one.
     """
     b, q = _polygon(points, farin)
-    s = parameters(t)
-    if s.shape != ():
-        raise GeometryError.expected("t", "one parameter", f"shape {s.shape}")
+    s = number(t, "t")
     scheme = [(b, q)]
     while len(b) > 1:
         alpha, delta = _legs(b, q)

@@ -48,8 +48,47 @@ IDEAL_LINE.setflags(write=False)
 IDEAL_PLANE.setflags(write=False)
 
 
+def numbers(value: Any, name: str) -> np.ndarray:
+    """Return `value` as a float64 array of finite numbers.
+
+    Raises
+    ------
+    GeometryError
+        If it is not one.
+    """
+    try:
+        raw = np.asarray(value)
+        out = raw.real.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise GeometryError.expected(name, "numbers", error) from None
+    if raw.dtype.kind == "c":  # a cast would drop the imaginary part
+        raise GeometryError.expected(name, "real numbers", "complex ones")
+    if not np.isfinite(out).all():
+        raise GeometryError.expected(name, "finite numbers", out[~np.isfinite(out)][0])
+    return out
+
+
+def number(value: Any, name: str) -> float:
+    """Return `value` as one finite number; errors as for `numbers`."""
+    out = numbers(value, name)
+    if out.shape != ():
+        raise GeometryError.expected(name, "one number", f"shape {out.shape}")
+    return float(out)
+
+
+def count(value: Any, name: str, least: int) -> int:
+    """Return `value` as an integer of at least `least`; errors as for `numbers`."""
+    out = number(value, name)
+    if out != int(out) or out < least:
+        raise GeometryError.expected(name, f"an integer >= {least}", value)
+    return int(out)
+
+
 def elements(name: str, value: Any, sizes: tuple[int, ...]) -> np.ndarray:
     """Return `value` as float64 elements, or say what is wrong with it.
+
+    Elements of extreme size are multiplied by a power of two, so that products neither
+    overflow nor vanish.
 
     Raises
     ------
@@ -58,19 +97,26 @@ def elements(name: str, value: Any, sizes: tuple[int, ...]) -> np.ndarray:
         element is the zero vector (which is no element of projective space).
     """
     kinds = " or ".join(str(s) for s in sizes)
-    try:
-        out = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise GeometryError.expected(name, f"numbers, {kinds} an element", error) from None
+    out = numbers(value, name)
     if out.ndim == 0 or out.shape[-1] not in sizes:
         raise GeometryError.expected(
             name, f"homogeneous vectors of {kinds} numbers", f"shape {out.shape}"
         )
-    if not np.isfinite(out).all():
-        raise GeometryError.expected(name, "finite numbers", out[~np.isfinite(out)][0])
     if not out.any(axis=-1).all():
         raise GeometryError.expected(name, "no zero vector", "the zero vector")
-    return out
+    exponent = np.frexp(np.abs(out).max(axis=-1, keepdims=True))[1]
+    extreme = np.abs(exponent) > 160  # beyond 1e48: sixth powers are out of range
+    return np.ldexp(out, np.where(extreme, -exponent, 0)) if extreme.any() else out
+
+
+def same_shape(name: str, *operands: np.ndarray) -> None:
+    """Refuse operands whose leading axes do not broadcast."""
+    try:
+        np.broadcast_shapes(*(a.shape[:-1] for a in operands))
+    except ValueError:
+        raise GeometryError.expected(
+            name, "leading axes that broadcast", f"shapes {[a.shape for a in operands]}"
+        ) from None
 
 
 def norm(x: np.ndarray) -> np.ndarray:
@@ -103,15 +149,17 @@ def point(coordinates: Any, weight: Any = 1.0) -> np.ndarray:
     GeometryError
         If a weight is zero (use `ideal`) or a number is not finite.
     """
-    x = np.asarray(coordinates, dtype=np.float64)
-    w = np.asarray(weight, dtype=np.float64)
-    if x.ndim == 0 or x.shape[-1] not in (2, 3) or not np.isfinite(x).all():
+    x, w = numbers(coordinates, "coordinates"), numbers(weight, "weight")
+    if x.ndim == 0 or x.shape[-1] not in (2, 3):
+        raise GeometryError.expected("coordinates", "2 or 3 a point", f"shape {x.shape}")
+    if not w.all():
+        raise GeometryError.expected("weight", "weights other than 0", "0")
+    try:
+        w = np.broadcast_to(w, x.shape[:-1])[..., None]
+    except ValueError:
         raise GeometryError.expected(
-            "coordinates", "2 or 3 finite coordinates a point", f"{x.tolist()}"
-        )
-    if not (np.isfinite(w) & (w != 0)).all():
-        raise GeometryError.expected("weight", "finite weights other than 0", f"{w.tolist()}")
-    w = np.broadcast_to(w, x.shape[:-1])[..., None]
+            "weight", f"weights of shape {x.shape[:-1]}", f"shape {w.shape}"
+        ) from None
     return np.concatenate([x * w, w], axis=-1)
 
 
@@ -133,7 +181,7 @@ def affine(points: Any) -> np.ndarray:
     Raises
     ------
     GeometryError
-        If a point is ideal.
+        If a point is ideal in the sense of `is_ideal`: further than 1e12 from the origin.
     """
     p = elements("points", points, (3, 4))
     if is_ideal(p).any():
@@ -232,6 +280,7 @@ def _combine(name: str, items: tuple[Any, ...]) -> np.ndarray:
             a = _line(f"{name}, element {k}", a)
             a = _swap(a) if dual else a
         operands.append(a)
+    same_shape(name, *operands)
     sizes = tuple(a.shape[-1] for a in operands)
     twice = "the same element twice"
     if sizes == (3, 3):
@@ -312,6 +361,7 @@ def incidence(a: Any, b: Any) -> np.ndarray:
         raise GeometryError.expected(
             "b", f"an element of length {a.shape[-1]}, as a", f"length {b.shape[-1]}"
         )
+    same_shape("a, b", a, b)
     if a.shape[-1] == 6:
         b = _swap(b)
     return np.abs(np.sum(a * b, axis=-1)) / (norm(a) * norm(b))

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..errors import GeometryError
 from .cross_ratio import affine_ratio, cross_ratio
-from .curves import BezierCurve, parameters
-from .projective import TOLERANCE, meet, norm
+from .curves import BezierCurve
+from .projective import TOLERANCE, meet, norm, numbers
 
 __all__ = ["four_tangent_cross_ratios", "three_tangent_ratios"]
 
@@ -52,7 +52,7 @@ def four_tangent_cross_ratios(arc: BezierCurve, fixed: Any, moving: Any) -> np.n
     -------
     (m,) array
     """
-    t, m = parameters(fixed, "fixed"), np.atleast_1d(parameters(moving, "moving"))
+    t, m = numbers(fixed, "fixed"), np.atleast_1d(numbers(moving, "moving"))
     if t.shape != (4,) or len(np.unique(t)) != 4:
         raise GeometryError.expected("fixed", "four different parameters", f"{t.tolist()}")
     tangents = _quadratic(arc).tangent(t)
