@@ -51,13 +51,14 @@ class BezierTriangles:
             raise NetError.expected(
                 "control_points", "an array of numbers of shape (P, K, 4)", f"{error}"
             ) from None
+        given = net.shape
         if net.ndim == 2:
             net = net[None]
         if net.ndim != 3 or net.shape[-1] != 4:
             raise NetError.expected(
                 "control_points",
                 "shape (P, K, 4): homogeneous points (w x, w y, w z, w)",
-                f"shape {net.shape}",
+                f"shape {given}",
             )
         if net.shape[0] == 0:
             raise NetError.expected("control_points", "at least one patch", "P = 0")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
@@ -27,7 +28,7 @@ class Structure:
     """All leaves of a scene under one tree, on the device of one array type."""
 
     nodes: Any  #: Float32, 8 octants x N nodes x `NODE`
-    node_count: int  #: N
+    node_count: Any  #: N, opaque: kernels do not depend on it
     records: Any  #: Float32, L x `RECORD`
     nets: Any  #: Float32, L x K*4, each padded to packets of eight
     degree: int  #: degree of `nets`; lower degrees are padded with zero monomials
@@ -79,7 +80,7 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
     arrays = (nodes, records, nets, domain, forms)
     return Structure(
         nodes=upload(ty.Float32, nodes),
-        node_count=n_nodes,
+        node_count=dr.opaque(ty.UInt, n_nodes),
         records=upload(ty.Float32, records),
         nets=upload(ty.Float32, nets),
         degree=bernstein.degree_of(leaves.net.shape[1]),

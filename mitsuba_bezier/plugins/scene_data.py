@@ -68,7 +68,7 @@ class SceneData:
             self.pointers = dr.gather(mi.ShapePtr, pointers, mi.UInt32(indices))
         else:
             self.pointers = mi.ShapePtr(shapes[0])
-        dr.eval(self.pointers)
+        dr.make_opaque(self.pointers)  # a literal would make each shape its own kernels
 
     # ------------------------------------------------------------------ queries
 

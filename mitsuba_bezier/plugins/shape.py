@@ -61,7 +61,7 @@ def make_shape_class() -> type:
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
             for key in ("control_points", "filename", "to_world", "flip_normals"):
                 if key in props:
-                    props.remove_property(key)
+                    del props[key]
             self._plain_mesh = True
             super().__init__(props)
             self._plain_mesh = False
