@@ -16,7 +16,7 @@ from .quadric_types import (
     normal_form,
     projective_type,
 )
-from .quadrics import quadric_patch
+from .quadrics import ZERO, project_triangles
 from .tensor import tensor_to_triangles
 from .triangles import BezierTriangles
 
@@ -25,6 +25,7 @@ __all__ = [
     "lune_between",
     "lunes",
     "octants",
+    "project_faces",
     "quadric_cover",
     "ruled_cover",
     "sphere",
@@ -92,6 +93,15 @@ def lunes() -> BezierTriangles:
     )
 
 
+def _unit_point(parameter: str, value: Any) -> np.ndarray:
+    x = vector(parameter, value)
+    if abs(np.linalg.norm(x) - 1) > ZERO:
+        raise GeometryError.expected(
+            parameter, "a point of the unit sphere", f"{x.tolist()}, of length {np.linalg.norm(x)}"
+        )
+    return x
+
+
 def sphere_face(corners: Any, center: Any) -> np.ndarray:
     """Return the patch of three points of the unit sphere that is projected from a fourth.
 
@@ -107,40 +117,71 @@ def sphere_face(corners: Any, center: Any) -> np.ndarray:
     -------
     (6, 4) array
         Net with corner weights 1, so that the edges have the standard parameters of arcs.
+
+    Raises
+    ------
+    GeometryError
+        If points are not on the sphere, or the four lie in a plane.
     """
     p = finite_array("corners", corners, (3, 3), GeometryError)
-    s = vector("center", center)
+    p = np.array([_unit_point("corners", x) for x in p])
+    s = _unit_point("center", center)
+    if not (np.linalg.norm(p - s, axis=1) > ZERO).all():
+        raise GeometryError.expected("center", "a point that is no corner", f"{s.tolist()}")
+    net = project_faces(p, s)
+    if not abs(np.linalg.det(p - s)) > ZERO * np.prod(np.linalg.norm(p - s, axis=1)):
+        raise GeometryError.expected("center", "a point off the plane of the corners", s.tolist())
+    return net
+
+
+def project_faces(corners: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    """Return the nets of `sphere_face` for arrays ``(..., 3, 3)`` and ``(..., 3)``, unchecked."""
     # b_ii has the weight 2 (1 - S.P) = |S - P|^2 times the square of the factor of P
-    factor = 1 / np.linalg.norm(p - s, axis=1)
-    points = np.hstack([p, np.ones((3, 1))]) * factor[:, None]
-    return quadric_patch(_UNIT_SPHERE, np.append(s, 1.0), points)
+    factor = 1 / np.linalg.norm(corners - centers[..., None, :], axis=-1)
+    return project_triangles(
+        _UNIT_SPHERE, _with_weight(centers, 1), _with_weight(corners, 1) * factor[..., None]
+    )
+
+
+def _with_weight(points: np.ndarray, weight: float) -> np.ndarray:
+    return np.concatenate([points, np.full((*points.shape[:-1], 1), weight)], axis=-1)
+
+
+def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return scalar products of vectors, keeping the axis."""
+    return (a * b).sum(axis=-1, keepdims=True)
 
 
 def arc_tangent(start: np.ndarray, end: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the unit tangent at `start` of the arc to `end` on the circle through `other`.
 
-    All are points of the unit sphere; the arc is the one that avoids `other`.
+    All are points of the unit sphere, arrays ``(..., 3)``; the arc is the one that avoids
+    `other`.
     """
     chord, aside = end - start, other - start
     tangent = np.cross(np.cross(chord, aside), start)
-    tangent /= np.linalg.norm(tangent)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     # the arc lies on the side of the chord opposite to the third point
-    across = aside - (aside @ chord) / (chord @ chord) * chord
-    return -tangent if tangent @ across > 0 else tangent
+    across = aside - _along(aside, chord) / _along(chord, chord) * chord
+    return np.where(_along(tangent, across) > 0, -tangent, tangent)
 
 
 def lune_between(
     start: np.ndarray, end: np.ndarray, right: np.ndarray, left: np.ndarray
 ) -> np.ndarray:
-    """Return the net of the lune between two arcs given by their unit tangents at `start`.
+    """Return the nets of lunes between two arcs given by their unit tangents at `start`.
 
-    It is oriented outwards if a turn by less than half a turn, counter-clockwise seen from
-    outside, takes `right` to `left`.
+    All are arrays ``(..., 3)``. A lune is oriented outwards if a turn by less than half a turn,
+    counter-clockwise seen from outside, takes `right` to `left`.
     """
     # tangents as long as the chord give the corner weights 1
-    length = np.linalg.norm(end - start)
-    points = np.array([[*end, 1.0], [*(length * left), 0.0], [*(length * right), 0.0]])
-    return quadric_patch(_UNIT_SPHERE, np.append(start, 1.0), points) / length**2
+    length = np.linalg.norm(end - start, axis=-1)[..., None]
+    points = np.stack(
+        [_with_weight(end, 1), _with_weight(length * left, 0), _with_weight(length * right, 0)],
+        axis=-2,
+    )
+    nets = project_triangles(_UNIT_SPHERE, _with_weight(start, 1), points)
+    return nets / length[..., None] ** 2
 
 
 def sphere_lune(start: Any, end: Any, first: Any, second: Any) -> np.ndarray:
@@ -162,13 +203,32 @@ def sphere_lune(start: Any, end: Any, first: Any, second: Any) -> np.ndarray:
     (6, 4) array
         Net with corner weights 1, oriented outwards whatever the order of the arcs; the angle
         of the lune is less than half a turn.
+
+    Raises
+    ------
+    GeometryError
+        If points are not on the sphere or coincide, or there is no angle between the arcs.
     """
     p, q, a, b = (
-        vector(name, x)
+        _unit_point(name, x)
         for name, x in (("start", start), ("end", end), ("first", first), ("second", second))
     )
+    for names, x, y in (
+        ("start, end", p, q),
+        ("start, first", p, a),
+        ("end, first", q, a),
+        ("start, second", p, b),
+        ("end, second", q, b),
+    ):
+        if np.linalg.norm(x - y) <= ZERO:
+            raise GeometryError.expected(names, "two different points", f"{x.tolist()} twice")
     right, left = arc_tangent(p, q, a), arc_tangent(p, q, b)
-    if np.linalg.det([right, left, p]) < 0:
+    turn = np.linalg.det([right, left, p])
+    if abs(turn) <= ZERO:  # the sine of the angle
+        raise GeometryError.expected(
+            "first, second", "two arcs at an angle of less than half a turn", f"sine {turn:.3g}"
+        )
+    if turn < 0:
         right, left = left, right
     return lune_between(p, q, right, left)
 

@@ -91,6 +91,7 @@ def half_plane(
     GeometryError
         If the directions are dependent, or a vector is not of this form.
     """
+    point = vector("point", point)
     a, b = _directions(along, inwards, ("along", "inwards"))
     return BezierTriangles.join([quarter_plane(point, a, b), quarter_plane(point, b, -a)])
 
@@ -111,6 +112,7 @@ def plane(point: Any = (0, 0, 0), u: Any = (1, 0, 0), v: Any = (0, 1, 0)) -> Bez
     GeometryError
         If the directions are dependent, or a vector is not of this form.
     """
+    point = vector("point", point)
     a, b = _directions(u, v, ("u", "v"))
     sides = (a, b, -a, -b)
     return BezierTriangles.join(

@@ -42,6 +42,8 @@ class QuadricTriangle(NamedTuple):
         singular value of their three unit directions around S (in the same coordinates), 0 if
         they lie in one plane, 1 if they are orthogonal. With fewer than three proper conics
         (a lune has two) it is 0, for two lines through a point always lie in a plane.
+    arcs_through : int or None
+        How many of the three boundary arcs themselves (not their extensions) contain S.
     polynomial : bool
         All weights are equal: the patch is a polynomial one.
     """
@@ -51,6 +53,7 @@ class QuadricTriangle(NamedTuple):
     center: np.ndarray | None
     meeting: float | None
     coplanarity: float | None
+    arcs_through: int | None
     polynomial: bool
 
     @property
@@ -66,7 +69,10 @@ def characterize(net: Any, tolerance: float = 1e-9) -> QuadricTriangle:
     The criterion (Boehm and Hansford, "Bézier patches on quadrics", 1991): a quadratic patch
     lies on a regular quadric exactly when the three boundary conics, extended, meet in one
     point S and their tangents in S lie in one plane. S is the centre of the projection that
-    makes the patch, see `quadric_patch`.
+    makes the patch, see `quadric_patch`. The conics then lie on a quadric in any case; the
+    patch does if, besides, an even number of its three arcs contain S (none, if no weight is
+    negative). Otherwise it is bounded by one arc that is the complement of the right one, its
+    middle control point having the wrong sign.
 
     Parameters
     ----------
@@ -96,14 +102,14 @@ def characterize(net: Any, tolerance: float = 1e-9) -> QuadricTriangle:
     if center is None and thickness > 1e-13:
         center = _common_point(white)
     if center is None:
-        return QuadricTriangle(a, name, None, None, None, polynomial)
-    meeting, coplanarity = _measure(white, center)
+        return QuadricTriangle(a, name, None, None, None, None, polynomial)
+    measures = _measure(white, center)
     # points transform as rows: white = b @ back
     s = np.linalg.solve(back.T, center)
     s /= np.linalg.norm(s)
     # the weight positive, or for an ideal point (up to rounding) the largest coordinate
     lead = 3 if abs(s[3]) > 1e-12 else int(np.argmax(np.abs(s)))
-    return QuadricTriangle(a, name, s * np.sign(s[lead]), meeting, coplanarity, polynomial)
+    return QuadricTriangle(a, name, s * np.sign(s[lead]), *measures, polynomial)
 
 
 def paraboloid_of(net: Any, tolerance: float = 1e-9) -> np.ndarray | None:
@@ -165,9 +171,9 @@ def _common_point(white: np.ndarray) -> np.ndarray | None:
     return vt[3] if sigma[2] > _ZERO else None
 
 
-def _measure(white: np.ndarray, center: np.ndarray) -> tuple[float, float]:
-    """Return how far the proper boundary conics pass `center` by, and their tangents' spread."""
-    meeting, tangents = 0.0, []
+def _measure(white: np.ndarray, center: np.ndarray) -> tuple[float, float, int]:
+    """Return `meeting`, `coplanarity` and `arcs_through` of a `QuadricTriangle`."""
+    meeting, inside, tangents = 0.0, 0, []
     for rows in _EDGES:
         points = white[list(rows)]
         sigma, vt = np.linalg.svd(points)[1:]
@@ -179,10 +185,11 @@ def _measure(white: np.ndarray, center: np.ndarray) -> tuple[float, float]:
         off_conic = abs(beta**2 - 4 * alpha * gamma) / (alpha**2 + beta**2 + gamma**2)
         meeting = max(meeting, float(off_conic), abs(float(vt[3] @ center)))
         s, t = (2 * alpha, beta) if abs(alpha) >= abs(gamma) else (beta, 2 * gamma)
+        inside += int(s * t > 0)
         # derivative in the direction (-t, s), which is not along the point itself
         tangent = np.array([-2 * s * t, 2 * (s * s - t * t), 2 * s * t]) @ points
         tangent = tangent - (tangent @ center) * center
         tangents.append(tangent / np.linalg.norm(tangent))
     if len(tangents) < 3:
-        return meeting, 0.0
-    return meeting, float(np.linalg.svd(np.array(tangents), compute_uv=False)[2])
+        return meeting, 0.0, inside
+    return meeting, float(np.linalg.svd(np.array(tangents), compute_uv=False)[2]), inside

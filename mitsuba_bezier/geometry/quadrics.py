@@ -20,6 +20,7 @@ __all__ = [
     "fit_quadric",
     "fit_quadrics",
     "normalize_quadric",
+    "project_triangles",
     "quadric_matrix",
     "quadric_patch",
     "whiten",
@@ -104,15 +105,37 @@ def quadric_patch(A: Any, center: Any, points: Any) -> np.ndarray:
         raise GeometryError.expected(
             "points", "three points independent of each other and of the center", "dependent points"
         )
-    polar = p @ a @ s
-    gram = p @ a @ p.T
-    net = np.array(
-        [
-            polar[i] * p[j] + polar[j] * p[i] - gram[i, j] * s
-            for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-        ]
+    return project_triangles(a, s, p)
+
+
+#: Corners of the control points of a quadratic net, in net order.
+_FIRST, _SECOND = np.array([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]).T
+
+
+def project_triangles(a: np.ndarray, centers: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Build the nets of `quadric_patch` for many centres and triangles, unchecked.
+
+    Parameters
+    ----------
+    a : (4, 4) array
+        Quadric.
+    centers : (..., 4) array
+        Centres on it.
+    points : (..., 3, 4) array
+        Triangles.
+
+    Returns
+    -------
+    (..., 6, 4) array
+    """
+    polar = points @ a @ centers[..., None]
+    gram = points @ a @ np.swapaxes(points, -1, -2)
+    nets = (
+        polar[..., _FIRST, :] * points[..., _SECOND, :]
+        + polar[..., _SECOND, :] * points[..., _FIRST, :]
+        - gram[..., _FIRST, _SECOND, None] * centers[..., None, :]
     )
-    return -net if net[:, 3].sum() < 0 else net
+    return np.where(nets[..., 3].sum(axis=-1)[..., None, None] < 0, -nets, nets)
 
 
 #: Places of the ten entries of a symmetric 4x4 matrix.

@@ -25,7 +25,16 @@ from .bernstein import permutation
 from .quadrics import quadric_patch
 from .triangles import BezierTriangles
 
-__all__ = ["band", "cap", "circle_point", "disk_sectors", "flattened", "placed", "sectors"]
+__all__ = [
+    "band",
+    "cap",
+    "circle_point",
+    "disk_sectors",
+    "flattened",
+    "outward",
+    "placed",
+    "sectors",
+]
 
 
 def circle_point(angle: float, radius: float, z: float) -> np.ndarray:
@@ -36,7 +45,7 @@ def circle_point(angle: float, radius: float, z: float) -> np.ndarray:
 _REVERSED = permutation(2, (0, 2, 1))
 
 
-def _outward(a: np.ndarray, net: np.ndarray) -> np.ndarray:
+def outward(a: np.ndarray, net: np.ndarray) -> np.ndarray:
     """Return a net turned so that its normal points where ``x'Ax`` grows."""
     h = BezierTriangles(net)
     uv = np.full((1, 2), 1 / 3)
@@ -71,7 +80,7 @@ def band(a: np.ndarray, low: tuple[float, float], high: tuple[float, float]) -> 
                 circle_point(other, r1, z1),
             ]
             center = circle_point(2 * k * third + turn * 2 * third, r0, z0)
-            nets.append(_outward(a, _standard(quadric_patch(a, center, points))))
+            nets.append(outward(a, _standard(quadric_patch(a, center, points))))
     return nets
 
 
@@ -86,7 +95,7 @@ def cap(a: np.ndarray, radius: float, z: float) -> list[np.ndarray]:
     nets = []
     for side in (1.0, -1.0):
         points = [opposite, [0.0, side, 0.0, 0.0], inwards]
-        nets.append(_outward(a, _standard(quadric_patch(a, center, points))))
+        nets.append(outward(a, _standard(quadric_patch(a, center, points))))
     return nets
 
 

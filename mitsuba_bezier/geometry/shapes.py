@@ -18,7 +18,7 @@ from .checks import length, lengths, vector
 from .covers import sphere
 from .plane_shapes import disk, half_plane, plane, quarter_plane
 from .quadrics import quadric_patch
-from .revolution import band, cap, circle_point, disk_sectors, flattened, placed, sectors
+from .revolution import band, cap, circle_point, disk_sectors, flattened, outward, placed, sectors
 from .tensor import tensor_to_triangles
 from .triangles import BezierTriangles
 
@@ -197,13 +197,16 @@ def hyperboloid_two_sheets(
     c, r, h = vector("center", center), lengths("radii", radii, 3), length("height", height)
     a = np.diag([1.0, 1.0, -1.0, 1.0])
     z = 1 + h / r[2]
-    rim = float(np.sqrt(z * z - 1))
+    rim = float(np.sqrt((z - 1) * (z + 1)))
+    # exchanging z and w takes the unit sphere to the hyperboloid; digits are kept for tall ones
+    on_sphere = cap(np.diag([1.0, 1.0, 1.0, -1.0]), rim / z, 1 / z)
+    upper = [outward(a, z * net[:, [0, 1, 3, 2]]) for net in on_sphere]
+    lower = [outward(a, net * [1, 1, -1, 1]) for net in upper]
     nets = []
-    for sign in (1.0, -1.0):
-        sheet = cap(a, rim, sign * z)
+    for sheet, height_of_rim in ((upper, z), (lower, -z)):
         nets += sheet
         if capped:
-            nets += flattened(sheet, sign * z, sign > 0)
+            nets += flattened(sheet, height_of_rim, height_of_rim > 0)
     return placed(nets, c, r)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
 
 from ..errors import GeometryError
 from .checks import finite_array
-from .covers import arc_tangent, lune_between, sphere_face
+from .covers import arc_tangent, lune_between, project_faces
 from .triangles import BezierTriangles
 
 __all__ = ["triangulated"]
@@ -35,7 +34,8 @@ def _checked_triangulation(points: Any, faces: Any) -> tuple[np.ndarray, np.ndar
         raise GeometryError.expected(
             "faces", f"point numbers 0 .. {len(p) - 1}", f"{f.min()} .. {f.max()}"
         )
-    directed = np.concatenate([f, np.roll(f, -1, axis=1)]).reshape(2, -1).T
+    f = f.astype(np.int64)
+    directed = np.stack([f, np.roll(f, -1, axis=1)], axis=-1).reshape(-1, 2)
     loops = directed[:, 0] == directed[:, 1]
     if loops.any():
         k = int(np.argmax(loops)) // 3
@@ -48,12 +48,12 @@ def _checked_triangulation(points: Any, faces: Any) -> tuple[np.ndarray, np.ndar
             "each edge in two faces of the same orientation",
             f"edge {i}-{j} twice in this direction",
         )
-    edges = {(int(i), int(j)) for i, j in unique}
-    for i, j in sorted(edges):
-        if (j, i) not in edges:
-            raise GeometryError.expected(
-                "faces", "a closed triangulation", f"a gap: edge {i}-{j} has one face only"
-            )
+    single = ~np.isin(unique @ [len(p), 1], unique[:, ::-1] @ [len(p), 1])
+    if single.any():
+        i, j = unique[np.argmax(single)]
+        raise GeometryError.expected(
+            "faces", "a closed triangulation", f"a gap: edge {i}-{j} has one face only"
+        )
     # positive: counter-clockwise from outside, and less than a hemisphere
     turn = np.linalg.det(p[f])
     if (turn < 0).all():
@@ -110,25 +110,38 @@ def triangulated(points: Any, faces: Any) -> BezierTriangles:
     p, f = _checked_triangulation(points, faces)
     centers = -p[f].sum(axis=1)
     centers /= np.linalg.norm(centers, axis=1, keepdims=True)
-    nets = [sphere_face(p[t], s) for t, s in zip(f, centers)]
-    owner = {(int(t[k]), int(t[(k + 1) % 3])): n for n, t in enumerate(f) for k in range(3)}
-    for (i, j), n in owner.items():
-        if i < j:
-            nets += _lunes_between(p[i], p[j], centers[n], centers[owner[j, i]])
-    return BezierTriangles(nets)
+    # the face on the other side of each directed edge
+    edges = np.concatenate([f[:, [k, (k + 1) % 3]] for k in range(3)])
+    owner = np.tile(np.arange(len(f)), 3)
+    order, reverse = np.lexsort(edges.T), np.lexsort(edges[:, ::-1].T)
+    across = np.empty(len(edges), dtype=int)
+    across[order] = owner[reverse]
+    once = edges[:, 0] < edges[:, 1]
+    start, end = (p[edges[once, k]] for k in (0, 1))
+    gaps = _lunes_between(start, end, centers[owner[once]], centers[across[once]])
+    return BezierTriangles(np.concatenate([project_faces(p[f], centers), gaps]))
 
 
 def _lunes_between(
     start: np.ndarray, end: np.ndarray, left: np.ndarray, right: np.ndarray
-) -> list[np.ndarray]:
-    """Return the lune between the arcs of two faces, in parts of at most a right angle."""
+) -> np.ndarray:
+    """Return the lunes between the arcs of two faces, in parts of at most a right angle."""
     # angles at `start`, from the great circle to the left
-    along = end - (end @ start) * start
-    along /= np.linalg.norm(along)
+    along = end - (end * start).sum(axis=1, keepdims=True) * start
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
     aside = np.cross(start, along)
-    tangents = arc_tangent(start, end, right), arc_tangent(start, end, left)
-    first, last = (np.arctan2(t @ aside, t @ along) for t in tangents)
-    parts = int(np.ceil((last - first) / (np.pi / 2) - 1e-9))  # no cut for a rounded right angle
-    angles = np.linspace(first, last, parts + 1)
-    rays = np.cos(angles)[:, None] * along + np.sin(angles)[:, None] * aside
-    return [lune_between(start, end, a, b) for a, b in itertools.pairwise(rays)]
+    first, last = (
+        np.arctan2((t * aside).sum(axis=1), (t * along).sum(axis=1))
+        for t in (arc_tangent(start, end, right), arc_tangent(start, end, left))
+    )
+    # a right angle with rounding is not cut
+    parts = np.ceil((last - first) / (np.pi / 2) - 1e-9).astype(int)
+    which = np.repeat(np.arange(len(start)), parts)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+    step = ((last - first) / parts)[which]
+
+    def ray(angle: np.ndarray) -> np.ndarray:
+        return np.cos(angle)[:, None] * along[which] + np.sin(angle)[:, None] * aside[which]
+
+    angle = first[which] + number * step
+    return lune_between(start[which], end[which], ray(angle), ray(angle + step))
