@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -32,21 +34,26 @@ class Chromium:
         self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         to_browser, self._out = os.pipe()
         self._in, from_browser = os.pipe()
-        # the shell moves the pipes to the descriptors that the browser looks at
+        # out of the way of 3 and 4, onto which they are put in the new process
+        ends = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (to_browser, from_browser)]
+        start = (
+            "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4);"
+            "os.execvp(sys.argv[3], sys.argv[3:])"
+        )
         self._process = subprocess.Popen(
             [
-                *("sh", "-c", f'exec "$@" 3<&{to_browser} 4>&{from_browser}', "sh"),
+                *(sys.executable, "-c", start, *map(str, ends)),
                 *(program, "--headless=new", "--remote-debugging-pipe", "--no-sandbox"),
                 *("--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
                 *("--disable-background-networking", "--disable-component-update"),
                 *("--hide-scrollbars", f"--user-data-dir={self._profile.name}", "about:blank"),
             ],
-            pass_fds=(to_browser, from_browser),
+            pass_fds=ends,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        os.close(to_browser)
-        os.close(from_browser)
+        for end in (to_browser, from_browser, *ends):
+            os.close(end)
         self._buffer, self._number, self._session = b"", 0, ""
         #: events since the start, as (method, parameters)
         self.events: list[tuple[str, dict[str, Any]]] = []

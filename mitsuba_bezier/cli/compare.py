@@ -9,8 +9,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ..errors import BezierError
-
 __all__ = ["add_parser", "run"]
 
 _MEASURES = ("RMSE", "relative MSE", "max", "FLIP", "Z-test")
@@ -128,11 +126,11 @@ def _repeat(args: argparse.Namespace, name: str) -> str:
 
 
 def _write_json(path: Path, outcome: list[dict[str, Any]]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise BezierError.expected("--json", "a file that can be written", f"{error}") from None
+    from ..verification.files import replacing
+
+    with replacing(path) as temporary:
+        text = json.dumps(outcome, indent=2, ensure_ascii=False) + "\n"
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _print(outcome: list[dict[str, Any]]) -> None:

@@ -23,6 +23,7 @@ import OpenEXR
 
 from ..errors import FileFormatError
 from . import png
+from .files import replacing
 
 __all__ = ["SUFFIXES", "Image", "group_layers", "read_image", "write_exr"]
 
@@ -202,7 +203,6 @@ def write_exr(
     FileFormatError
         If a channel or attribute cannot be stored, or the file not be written.
     """
-    path = Path(path)
     pixels: dict[str, np.ndarray] = {}
     for name, values in channels.items():
         values = np.asarray(values)
@@ -237,14 +237,5 @@ def write_exr(
         elif not isinstance(value, str):
             raise FileFormatError.expected(f"attribute {key}", "text or a number", f"{value!r}")
         header[key] = value
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
         OpenEXR.File(header, pixels).write(str(temporary))
-        os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:
-        raise FileFormatError.expected(
-            str(path), "a file that can be written", f"{error}"
-        ) from None
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -268,6 +268,13 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
     return passes == 1 and constant and kinds == {np.dtype(np.float32)}
 
 
+def _frame(image: Image) -> str:
+    height, width = image.size
+    full = image.full_size or (width, height)
+    crop = " at {}, {} of {} x {}".format(*image.offset, *full)
+    return f"{width} x {height}{'' if full == (width, height) else crop}"
+
+
 def merge_files(
     parts: Iterable[str | os.PathLike[str]],
     output: str | os.PathLike[str],
@@ -315,12 +322,8 @@ def merge_files(
             raise FileFormatError.expected(str(path), "an EXR file", "a PNG file")
         if first is None:
             first, shared = image, dict(image.attributes)
-        if (image.offset, image.full_size) != (first.offset, first.full_size):
-            raise FileFormatError.expected(
-                f"{path}: crop",
-                f"{first.offset} of {first.full_size}",
-                f"{image.offset} of {image.full_size}",
-            )
+        if _frame(image) != _frame(first):
+            raise FileFormatError.expected(f"{path}: size", _frame(first), _frame(image))
         if not add_file(total, image, allow_nan):
             rounded.append(str(path))
         shared = {k: v for k, v in shared.items() if image.attributes.get(k) == v}

@@ -13,15 +13,14 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .._version import __version__
-from ..errors import FileFormatError
 from . import png, preview
 from .comparison import Check, Comparison, Layer
+from .files import replacing
 
 __all__ = [
     "Entry",
@@ -302,15 +301,6 @@ def write_report(
     FileFormatError
         If the file cannot be written.
     """
-    path = Path(path)
     text = render_report(entries, title, subtitle, command)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise FileFormatError.expected(str(path), "a file that can be written", reason) from None
-    finally:
-        temporary.unlink(missing_ok=True)
