@@ -1,0 +1,58 @@
+"""The code blocks of the documentation run, and its links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = ("conventions.md", "lecture.md")
+
+
+def code_blocks(text: str) -> list[tuple[int, str]]:
+    """Line number and code of each ```python block."""
+    return [
+        (text[: found.start(1)].count("\n"), found.group(1))
+        for found in re.finditer(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    ]
+
+
+@pytest.fixture
+def variant():
+    """Pages may set a variant; the one before is restored."""
+    import mitsuba as mi
+
+    before = mi.variant()
+    yield
+    if before is not None and mi.variant() != before:
+        mi.set_variant(before)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_code_blocks_run(page, variant):
+    path = DOCS / page
+    blocks = code_blocks(path.read_text(encoding="utf-8"))
+    assert len(blocks) >= 5  # the pattern still finds them
+    namespace: dict[str, object] = {"__name__": "__docs__"}
+    for line, code in blocks:
+        # empty lines before, so that a traceback shows the line of the page
+        exec(compile("\n" * line + code, str(path), "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links(page):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        assert target.startswith("https://") or (DOCS / target).exists(), target
+
+
+def test_every_section_of_the_lecture_has_a_call_a_check_and_a_picture():
+    text = (DOCS / "lecture.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    assert len(sections) == 8
+    for section in sections:
+        code = "".join(block for _line, block in code_blocks(section))
+        assert "assert " in code, section.splitlines()[0]
+        assert re.search(r"<!-- picture: renders/\S+\.png: .+ -->|!\[", section), section[:40]
