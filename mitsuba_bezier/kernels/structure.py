@@ -1,11 +1,10 @@
-"""The buffers a traversal reads: tree nodes, leaf records, leaf nets."""
+"""The buffers a traversal reads: tree nodes, leaf records, leaf nets, groups of quadrics."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
@@ -13,40 +12,94 @@ from ..geometry.leaves import Leaves
 from ..geometry.tree import build_tree
 from .arrays import types_of, upload
 
-__all__ = ["NODE", "RECORD", "Structure", "build_structure"]
+__all__ = ["Structure", "build_structure"]
 
 #: Floats in a tree node: lower corner, upper corner, skip, leaf (the last two as bits).
 NODE = 8
-#: Floats in a leaf record: shift 3, height bound, frame 16, form 10, patch, flags (as bits).
-RECORD = 32
+#: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, two bounds packed.
+AFFINE = 16
+#: Floats in a projective leaf's record: shift 3, remainder, 4x4 chart 16, a b c, margin.
+PROJECTIVE = 24
+#: Floats before the net: variation, bending, the six numbers of the parameter quadratics.
+HEAD = 8
+#: Float64 in a group: quadric 10, shift 3, first member, number of members.
+GROUP = 16
+#: Floats in a member of a group: three rows of four, leaf number as bits.
+MEMBER = 16
+#: Floats in a domain record: leaf-to-patch map 9, patch number as bits.
+DOMAIN = 16
 
-FLAG_EXACT = 1
+#: Bounds are stored as ``code**2 * BOUND_UNIT`` in 16 bits, rounded up: from 1e-9 to 4.
+BOUND_UNIT = 2.0**-30
 
 
 @dataclass
 class Structure:
-    """All leaves of a scene under one tree, on the device of one array type."""
+    """All leaves of a scene under one tree, on the device of one array type.
 
-    nodes: Any  #: Float32, 8 octants x N nodes x `NODE`
-    node_count: Any  #: N, opaque: kernels do not depend on it
-    records: Any  #: Float32, L x `RECORD`
-    nets: Any  #: Float32, L x K*4, each padded to packets of eight
-    degree: int  #: degree of `nets`; lower degrees are padded with zero monomials
-    domain: Any  #: Float32, L x 16: nine entries of the leaf-to-patch map, shift 3
-    forms: Any  #: Float64, L x 16: the quadric of exact leaves, ten entries
-    has_exact: bool
-    has_graph: bool
-    projective: bool  #: some chart is not affine
-    leaf_count: int
+    Leaves are numbered: affine charts first, then projective ones, then groups of exact
+    leaves. Domain records follow the same order, with the members of groups at the end.
+    """
+
+    nodes: Any  #: Float32, 8 octants x `node_count` x `NODE`
+    node_count: int
+    affine: Any  #: Float32, x `AFFINE`
+    projective: Any  #: Float32, x `PROJECTIVE`
+    nets: Any  #: Float32, x (`HEAD` + K * 4), padded to packets of eight
+    groups: Any  #: Float64, x `GROUP`
+    members: Any  #: Float32, x `MEMBER`
+    domain: Any  #: Float32, x `DOMAIN`
+    degree: int  #: of `nets`; lower degrees are padded with zero monomials
+    affine_count: int
+    graph_count: int  #: affine and projective
+    group_count: int
+    leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
+
+    @property
+    def has_affine(self) -> bool:
+        """Whether there is a leaf with an affine chart."""
+        return self.affine_count > 0
+
+    @property
+    def has_projective(self) -> bool:
+        """Whether there is a leaf with a projective chart."""
+        return self.graph_count > self.affine_count
+
+    @property
+    def has_groups(self) -> bool:
+        """Whether there is a leaf with a closed form."""
+        return self.group_count > 0
 
 
 def build_structure(leaves: Leaves, like: Any) -> Structure:
     """Pack `leaves` for the array types of `like` (a Dr.Jit float array or type)."""
     ty = types_of(like)
-    count = len(leaves)
-    boxes = _padded(leaves.box)
-    bounds, skip, leaf = build_tree(boxes)
+    straight = (leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+    affine = np.flatnonzero(~leaves.exact & straight)
+    projective = np.flatnonzero(~leaves.exact & ~straight)
+    exact = np.flatnonzero(leaves.exact)
+    exact = exact[np.argsort(leaves.group[exact], kind="stable")]
+    graph = np.concatenate([affine, projective])
+    order = np.concatenate([graph, exact])
+
+    group_first, group_size = _ranges(leaves.group[exact])
+    boxes = leaves.box[graph]
+    if len(exact):
+        member_box = leaves.box[exact]
+        boxes = np.concatenate(
+            [
+                boxes,
+                np.stack(
+                    [
+                        np.minimum.reduceat(member_box[:, 0], group_first),
+                        np.maximum.reduceat(member_box[:, 1], group_first),
+                    ],
+                    axis=1,
+                ),
+            ]
+        )
+    bounds, skip, leaf = build_tree(_padded(boxes))
     n_nodes = skip.shape[1]
     nodes = np.zeros((8, n_nodes, NODE), dtype=np.float32)
     nodes[..., 0:3] = bounds[:, :, 0]
@@ -55,43 +108,103 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
     nodes[..., 6] = (skip + base).astype(np.uint32).view(np.float32)
     nodes[..., 7] = leaf.view(np.float32)
 
-    records = np.zeros((count, RECORD), dtype=np.float32)
-    records[:, 0:3] = leaves.shift
-    records[:, 3] = _height(leaves)
-    records[:, 4:20] = leaves.frame.reshape(count, 16)
-    records[:, 20:30] = leaves.form[:, :10]
-    records[:, 30] = leaves.patch.astype(np.uint32).view(np.float32)
-    flags = np.where(leaves.exact, FLAG_EXACT, 0).astype(np.uint32)
-    records[:, 31] = flags.view(np.float32)
-
-    domain = np.zeros((count, 16), dtype=np.float32)
-    domain[:, :9] = leaves.domain.reshape(count, 9)
-    forms = np.zeros((count, 16))
-    forms[:, :10] = leaves.form[:, :10]
-    forms[:, 10:13] = leaves.shift
-
-    graph = ~leaves.exact
-    width = leaves.net.shape[1] * 4
-    padded = -(-width // 8) * 8
-    nets = np.zeros((count if graph.any() else 1, padded), dtype=np.float32)
-    if graph.any():
-        nets[:, :width] = leaves.net.reshape(count, width)
-    affine = (leaves.frame[graph, 3] == (0.0, 0.0, 0.0, 1.0)).all()
-    arrays = (nodes, records, nets, domain, forms)
+    arrays = {
+        "nodes": nodes,
+        "affine": _affine_records(leaves, affine),
+        "projective": _projective_records(leaves, projective),
+        "nets": _nets(leaves, graph),
+        "groups": _groups(leaves, exact, group_first, group_size),
+        "members": _members(leaves, exact, len(graph)),
+        "domain": _domain(leaves, order),
+    }
     return Structure(
-        nodes=upload(ty.Float32, nodes),
-        node_count=dr.opaque(ty.UInt, n_nodes),
-        records=upload(ty.Float32, records),
-        nets=upload(ty.Float32, nets),
+        **{
+            name: upload(ty.Float64 if name == "groups" else ty.Float32, _at_least_one(a))
+            for name, a in arrays.items()
+        },
+        node_count=n_nodes,
         degree=bernstein.degree_of(leaves.net.shape[1]),
-        domain=upload(ty.Float32, domain),
-        forms=upload(ty.Float64, forms),
-        has_exact=bool(leaves.exact.any()),
-        has_graph=bool(graph.any()),
-        projective=not bool(affine),
-        leaf_count=count,
-        bytes=sum(a.nbytes for a in arrays),
+        affine_count=len(affine),
+        graph_count=len(graph),
+        group_count=len(group_first),
+        leaf_count=len(leaves),
+        bytes=sum(a.nbytes for a in arrays.values()),
     )
+
+
+def _at_least_one(a: np.ndarray) -> np.ndarray:
+    return a if len(a) else np.zeros((1, *a.shape[1:]), a.dtype)
+
+
+def _ranges(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return first index and length of the runs of equal labels."""
+    if not len(labels):
+        return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+    first = np.flatnonzero(np.diff(labels, prepend=labels[0] - 1))
+    return first, np.diff(first, append=len(labels))
+
+
+def _affine_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(which), AFFINE), dtype=np.float32)
+    out[:, 0:3] = leaves.shift[which]
+    out[:, 3:12] = leaves.frame[which, :3, :3].reshape(-1, 9)
+    out[:, 12:15] = leaves.form[which, :3]
+    code = np.ceil(np.sqrt(leaves.form[which][:, [3, 6]] / BOUND_UNIT))
+    code = np.clip(code, 0, 65535).astype(np.uint32)
+    out[:, 15] = (code[:, 0] | (code[:, 1] << np.uint32(16))).view(np.float32)
+    return out
+
+
+def _projective_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(which), PROJECTIVE), dtype=np.float32)
+    out[:, 0:3] = leaves.shift[which]
+    out[:, 3] = leaves.form[which, 3]
+    out[:, 4:20] = leaves.frame[which].reshape(-1, 16)
+    out[:, 20:23] = leaves.form[which, :3]
+    out[:, 23] = leaves.form[which, 6]
+    return out
+
+
+def _nets(leaves: Leaves, which: np.ndarray) -> np.ndarray:
+    width = HEAD + leaves.net.shape[1] * 4
+    out = np.zeros((len(which), -(-width // 8) * 8), dtype=np.float32)
+    out[:, 0:2] = leaves.form[which, 4:6]
+    out[:, 2:8] = leaves.form[which, 7:13]
+    out[:, HEAD:width] = leaves.net[which].reshape(len(which), width - HEAD)
+    return out
+
+
+def _groups(leaves: Leaves, exact: np.ndarray, first: np.ndarray, size: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(first), GROUP))
+    head = exact[first] if len(first) else exact
+    out[:, :10] = leaves.form[head, :10]
+    out[:, 10:13] = leaves.shift[head]
+    out[:, 13], out[:, 14] = first, size
+    return out
+
+
+def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
+    out = np.zeros((len(exact), MEMBER), dtype=np.float32)
+    rows = leaves.frame[exact, :3]
+    # scaled to what the rows give at the patch, so that an error of float32 has one size
+    reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
+    scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
+    scale = scale + np.linalg.norm(rows[..., 3], axis=1)
+    out[:, :12] = (rows / scale[:, None, None]).reshape(-1, 12)
+    out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
+    return out
+
+
+def _half_size(box: np.ndarray) -> np.ndarray:
+    half = (box[:, 1] - box[:, 0]) / 2
+    return np.where(np.isfinite(half), half, 0.0)
+
+
+def _domain(leaves: Leaves, order: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(order), DOMAIN), dtype=np.float32)
+    out[:, :9] = leaves.domain[order].reshape(-1, 9)
+    out[:, 9] = leaves.patch[order].astype(np.uint32).view(np.float32)
+    return out
 
 
 def _padded(box: np.ndarray) -> np.ndarray:
@@ -100,10 +213,3 @@ def _padded(box: np.ndarray) -> np.ndarray:
     pad = 4e-7 * np.abs(finite).max(axis=1, keepdims=True)
     pad = pad + 1e-6 * np.abs(finite[:, 1:] - finite[:, :1]).max(axis=2, keepdims=True)
     return np.concatenate([box[:, :1] - pad, box[:, 1:] + pad], axis=1)
-
-
-def _height(leaves: Leaves) -> np.ndarray:
-    """Return a bound on ``|z|`` over each graph leaf, from its stored quadratic."""
-    quadratic = np.abs(leaves.form[:, :3]).sum(axis=1)
-    grown = 0.25 * quadratic * (1 + 3 * leaves.form[:, 6]) ** 2 + leaves.form[:, 3]
-    return np.where(leaves.exact, 0.0, 1.01 * grown + 1e-6)

@@ -1,0 +1,130 @@
+"""Ray against a group of exact leaves: one quadric in closed form, then which patch it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from .arrays import Types, dot3, gather_packets
+from .structure import GROUP, MEMBER, Structure
+
+__all__ = ["edge_tolerance", "group_hit"]
+
+#: A hit this far outside its leaf still counts, in leaf barycentrics: ten roundings of a
+#: number near one, so that two leaves cannot both refuse a ray that meets their common edge.
+EDGE = 1e-6
+#: ... and at grazing angles, where an error across the surface is an error along it divided
+#: by the cosine; never more than this.
+EDGE_GRAZING = 3e-3
+#: Rounding of a member's rows, in their own scale; it matters where all three coordinates are
+#: small, at the centre of projection (the tip of a lune).
+ROWS = 2e-7
+
+
+def edge_tolerance(cosine: Any) -> Any:
+    """Return the tolerance in leaf barycentrics for a hit at this ``|cos|``."""
+    return dr.minimum(EDGE_GRAZING, EDGE + 1e-7 * dr.rcp(dr.maximum(cosine, 1e-12)))
+
+
+def group_hit(
+    s: Structure, ty: Types, group: Any, o: Any, d: Any, t_max: Any, active: Any
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Find the first hit with a group.
+
+    The quadratic ``q s^2 + 2 b s + c = 0`` is solved in float64 about the point of the ray
+    nearest the group's origin; so the parameter of a hit and the decision at a silhouette are
+    as exact as the quadric itself.
+
+    Returns
+    -------
+    hit : Bool
+    t, u, v : Float
+        Ray parameter; barycentrics of the patch.
+    leaf : UInt
+    """
+    f64 = ty.Float64
+    g = gather_packets(s.groups, group, GROUP, active)
+    a = g[:10]
+    dd = [f64(d[i]) for i in range(3)]
+    od = [f64(o[i]) - g[10 + i] for i in range(3)]
+    t0 = -dot3(od, dd) / dot3(dd, dd)
+    p = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
+    ax = dr.fma(a[0], p[0], dr.fma(a[3], p[1], dr.fma(a[4], p[2], a[6])))
+    ay = dr.fma(a[3], p[0], dr.fma(a[1], p[1], dr.fma(a[5], p[2], a[7])))
+    az = dr.fma(a[4], p[0], dr.fma(a[5], p[1], dr.fma(a[2], p[2], a[8])))
+    aw = dr.fma(a[6], p[0], dr.fma(a[7], p[1], dr.fma(a[8], p[2], a[9])))
+    c = dr.fma(ax, p[0], dr.fma(ay, p[1], dr.fma(az, p[2], aw)))
+    b = dr.fma(ax, dd[0], dr.fma(ay, dd[1], az * dd[2]))
+    qx = dr.fma(a[0], dd[0], dr.fma(a[3], dd[1], a[4] * dd[2]))
+    qy = dr.fma(a[3], dd[0], dr.fma(a[1], dd[1], a[5] * dd[2]))
+    qz = dr.fma(a[4], dd[0], dr.fma(a[5], dd[1], a[2] * dd[2]))
+    q = dr.fma(qx, dd[0], dr.fma(qy, dd[1], qz * dd[2]))
+    disc = dr.fma(b, b, -q * c)
+    root = dr.sqrt(dr.maximum(disc, 0.0))
+    h = -(b + dr.copysign(root, b))
+    s1, s2 = c / h, h / q
+    # q = 0 to rounding: one root is at infinity (a plane, a ray along an asymptote)
+    linear = dr.abs(q * s1) <= 1e-15 * dr.abs(h)
+    near = dr.select(linear, s1, dr.minimum(s1, s2))
+    far = dr.select(linear, dr.inf, dr.maximum(s1, s2))
+    t1, t2 = ty.Float(t0 + near), ty.Float(t0 + far)
+    valid = active & (disc >= 0.0)
+    want1 = valid & (t1 > 0.0) & (t1 < t_max)
+    want2 = valid & (t2 > 0.0) & (t2 < t_max)
+    gradient = dr.sqrt(ty.Float(dot3([ax, ay, az], [ax, ay, az])))
+    length = dr.sqrt(dot3(d, d))
+    tolerance = edge_tolerance(ty.Float(root) * dr.rcp(gradient * length))
+    p1 = [ty.Float(dr.fma(near, dd[i], p[i])) for i in range(3)]
+    p2 = [ty.Float(dr.fma(far, dd[i], p[i])) for i in range(3)]
+
+    first = ty.UInt(g[13])
+    last = first + ty.UInt(g[14])
+    zero = dr.zeros(ty.Float)
+    state = (
+        want1 | want2,
+        first,
+        ty.Bool(False),
+        ty.Bool(False),
+        zero,
+        zero,
+        dr.zeros(ty.UInt),
+        zero,
+        zero,
+        dr.zeros(ty.UInt),
+    )
+
+    def locate(m: list[Any], p: list[Any]) -> tuple[Any, Any, Any]:
+        bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
+        total = bary[0] + bary[1] + bary[2]
+        inv = dr.rcp(total)
+        slack = tolerance + ROWS * dr.abs(inv)
+        u, v, w = bary[0] * inv, bary[1] * inv, bary[2] * inv
+        return dr.minimum(dr.minimum(u, v), w) >= -slack, u, v
+
+    def body(run, k, hit1, hit2, u1, v1, leaf1, u2, v2, leaf2):
+        m = gather_packets(s.members, k, MEMBER, run)
+        leaf = dr.reinterpret_array(ty.UInt, m[12])
+        in1, a1, b1 = locate(m, p1)
+        in2, a2, b2 = locate(m, p2)
+        in1, in2 = in1 & want1 & ~hit1, in2 & want2 & ~hit2
+        hit1, hit2 = hit1 | in1, hit2 | in2
+        u1, v1, leaf1 = dr.select(in1, a1, u1), dr.select(in1, b1, v1), dr.select(in1, leaf, leaf1)
+        u2, v2, leaf2 = dr.select(in2, a2, u2), dr.select(in2, b2, v2), dr.select(in2, leaf, leaf2)
+        k = k + 1
+        run = run & (k < last) & ~hit1 & (want1 | ~hit2)
+        return run, k, hit1, hit2, u1, v1, leaf1, u2, v2, leaf2
+
+    _run, _k, hit1, hit2, u1, v1, leaf1, u2, v2, leaf2 = dr.while_loop(
+        state,
+        cond=lambda *st: st[0],
+        body=body,
+        label="bezier group members",
+    )
+    return (
+        hit1 | hit2,
+        dr.select(hit1, t1, t2),
+        dr.select(hit1, u1, u2),
+        dr.select(hit1, v1, v2),
+        dr.select(hit1, leaf1, leaf2),
+    )
