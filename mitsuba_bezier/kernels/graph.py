@@ -173,7 +173,9 @@ def _cull(
     tau = dr.select(clear, lo + step, lo)
     candidate = (lo <= hi) & (~clear | (exists & (tau <= hi)))
     sign = dr.select(clear, sign, 0.0)
-    return candidate, ChartLine(t0, *x0, *e, gamma, tau, hi, sign, aw, bw)
+    x, y, z = x0
+    ex, ey, ez = e
+    return candidate, ChartLine(t0, x, y, z, ex, ey, ez, gamma, tau, hi, sign, aw, bw)
 
 
 def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:

@@ -111,7 +111,7 @@ def intersect(
 
 def _next_candidate(
     s: Structure, ty: Types, node: Any, end: Any, o: Any, d: Any, rcp: Any, t_max: Any, run: Any
-) -> tuple[Any, Any, ChartLine | None]:
+) -> tuple[Any, Any, ChartLine]:
     """Walk the tree to the next leaf that its quadratic does not exclude.
 
     Boxes and quadratics share one loop, so that the lanes of a packet that found a candidate
@@ -119,7 +119,7 @@ def _next_candidate(
     """
     if not (s.has_affine or s.has_projective):
         node, leaf = _next_leaf(s, ty, node, end, o, rcp, t_max, run)
-        return node, leaf, None
+        return node, leaf, ChartLine.zero(ty)
 
     def body(walk, node, leaf, line):
         node, leaf = _next_leaf(s, ty, node, end, o, rcp, t_max, walk)
