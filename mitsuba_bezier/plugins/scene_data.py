@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..errors import BezierError
 from ..geometry.leaf_builder import build_leaves
 from ..geometry.leaves import Leaves
 from ..kernels.arrays import types_of, upload
@@ -90,6 +91,7 @@ class SceneData:
                 pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(valid))
                 pi.t = dr.inf
             pi = mi.PreliminaryIntersection3f(pi)
+            pi.valid = pi.valid | valid
             index = dr.gather(mi.UInt32, self.patch_shape, patch, valid)
             first = dr.gather(mi.UInt32, self.patch_first, patch, valid)
             pi.t = dr.select(valid, mi.Float(hit.t), pi.t)
@@ -170,6 +172,11 @@ def _cached(key: tuple, make: Any) -> SceneData:
     if key in _cache:
         _cache.move_to_end(key)
         return _cache[key]
+    if dr.flag(dr.JitFlag.SymbolicScope):
+        raise BezierError(
+            "beziertriangle: expected a first ray query outside of recorded loops and calls, "
+            "where the structure can be built; got it inside of one"
+        )
     data = make()
     _cache[key] = data
     while len(_cache) > _CACHE_SIZE:
@@ -200,5 +207,6 @@ def data_for_scene(scene: Any) -> SceneData | None:
     if not indices:
         return None
     shapes = [every[i] for i in indices]
-    key = (mi.variant(), scene.ptr, *(s.version for s in shapes))
+    # the scene's address would not do: a later scene may get it again
+    key = (mi.variant(), len(every) > len(shapes), *(s.version for s in shapes))
     return _cached(key, lambda: SceneData(shapes, indices, scene))
