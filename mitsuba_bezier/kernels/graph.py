@@ -81,14 +81,14 @@ def cull(
     if s.has_affine and not s.has_projective:
         return _cull_affine(s, ty, leaf, o, d, t_max, active)
     if not s.has_affine:
-        return _cull_projective(s, ty, leaf - s.affine_count, o, d, t_max, active)
-    straight = leaf < s.affine_count
+        return _cull_projective(s, ty, leaf - s.first_projective, o, d, t_max, active)
+    straight = leaf < s.first_projective
     return dr.if_stmt(
         args=(leaf, o, d, t_max, active),
         cond=straight,
         true_fn=lambda leaf, o, d, t, a: _cull_affine(s, ty, leaf, o, d, t, a),
         false_fn=lambda leaf, o, d, t, a: _cull_projective(
-            s, ty, leaf - s.affine_count, o, d, t, a
+            s, ty, leaf - s.first_projective, o, d, t, a
         ),
         label="bezier chart",
     )
@@ -245,7 +245,9 @@ def march(
         # until then the march stays where it is and only (u, v) improve.
         certain = (sign != 0.0) | (dr.abs(value) > slack) | (off2 < 1e-10)
         sign = dr.select(certain & (sign == 0.0), dr.copysign(ty.Float(1), value), sign)
-        signed, signed_slope = sign * value, sign * slope
+        # the slope is that at the foot (x, y); the ray is sqrt(off2) away from there
+        tilt = 2.0 * bending * dr.sqrt(off2 * lateral2)
+        signed, signed_slope = sign * value, sign * slope - tilt
         sure = dr.select(signed > 0.0, dr.maximum(signed - slack, 0.0), signed)
         delta, exists = first_root(sure, signed_slope, sign * gamma - wobble)
         delta, exists = dr.select(certain, delta, 0.0), exists | ~certain

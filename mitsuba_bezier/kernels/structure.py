@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
@@ -42,7 +43,9 @@ class Structure:
     """
 
     nodes: Any  #: Float32, 8 octants x `node_count` x `NODE`
-    node_count: int
+    node_count: Any  #: UInt, opaque as the next two: kernels do not depend on the values
+    first_projective: Any  #: UInt, number of the first leaf of the second kind
+    first_group: Any  #: UInt, and of the third
     affine: Any  #: Float32, x `AFFINE`
     projective: Any  #: Float32, x `PROJECTIVE`
     nets: Any  #: Float32, x (`HEAD` + K * 4), padded to packets of eight
@@ -122,7 +125,9 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
             name: upload(ty.Float64 if name == "groups" else ty.Float32, _at_least_one(a))
             for name, a in arrays.items()
         },
-        node_count=n_nodes,
+        node_count=dr.opaque(ty.UInt, n_nodes),
+        first_projective=dr.opaque(ty.UInt, len(affine)),
+        first_group=dr.opaque(ty.UInt, len(graph)),
         degree=bernstein.degree_of(leaves.net.shape[1]),
         affine_count=len(affine),
         graph_count=len(graph),

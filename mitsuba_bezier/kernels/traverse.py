@@ -69,8 +69,8 @@ def intersect(
         if s.has_groups and (s.has_affine or s.has_projective):
             accept, t_new, u_new, v_new, leaf_new = dr.if_stmt(
                 args=(found, index, line, t),
-                cond=found & (index >= s.graph_count),
-                true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.graph_count, o, d, t, m),
+                cond=found & (index >= s.first_group),
+                true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.first_group, o, d, t, m),
                 false_fn=lambda m, i, line, t: (*march(s, ty, i, line, t, m), i),
                 label="bezier leaf kind",
             )
@@ -124,7 +124,7 @@ def _next_candidate(
     def body(walk, node, leaf, line):
         node, leaf = _next_leaf(s, ty, node, end, o, rcp, t_max, walk)
         found = walk & (leaf != NO_LEAF)
-        graph = found & (leaf < s.graph_count) if s.has_groups else found
+        graph = found & (leaf < s.first_group) if s.has_groups else found
         candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
         candidate = found & (candidate | ~graph)
         leaf = dr.select(candidate, leaf, NO_LEAF)
