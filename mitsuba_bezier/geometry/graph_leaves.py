@@ -19,6 +19,7 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
     for depth in range(settings.max_depth + 1):
         leaves, good = _graph_leaves(nets, domain, patch, settings)
+        good |= _below_float32(leaves.box)
         if depth == settings.max_depth:
             good = np.ones(len(nets), dtype=bool)
         yield leaves.select(good)
@@ -57,6 +58,18 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         nets = np.concatenate([p[0] for p in parts])
         domain = np.concatenate([p[1] for p in parts])
         patch = np.concatenate([p[2] for p in parts])
+
+
+def _below_float32(box: np.ndarray) -> np.ndarray:
+    """Tell which leaves are too small to have a chart in float32, whose origin is rounded.
+
+    They lie at singular corners such as the apex of a cone. Further cuts could not make them
+    better: they would all be cut down to the last level.
+    """
+    with np.errstate(invalid="ignore"):
+        size = (box[:, 1] - box[:, 0]).max(axis=1)
+        # 1e-6: about ten roundings of the origin
+        return size < 1e-6 * np.abs(box).max(axis=(1, 2))
 
 
 #: Split of a triangle whose edge BC is collapsed: the tip, the part that keeps corner B as an
