@@ -117,6 +117,24 @@ def test_lune_area_is_twice_its_angle():
             assert x @ net.normals(0, [[0.3, 0.3]])[0] > 0.999
 
 
+def test_arcs_avoid_their_third_point_even_when_long():
+    # small circles around the z and x axes through the same two points
+    start, end = np.array([0.64, 0.48, 0.6]), np.array([0.64, -0.48, 0.6])
+    first, second = np.array([0.8, 0, 0.6]), np.array([0.64, 0, np.sqrt(1 - 0.64**2)])
+    patch = BezierTriangles(sphere_lune(start, end, first, second))
+    t = np.linspace(0.01, 0.99, 99)
+    edges = [
+        patch.points(0, np.column_stack([1 - t, t])),
+        patch.points(0, np.column_stack([1 - t, 0 * t])),
+    ]
+    for other, fixed in ((first, 2), (second, 0)):
+        edge = min(edges, key=lambda e: np.ptp(e[:, fixed]))
+        assert np.allclose(edge[:, fixed], other[fixed], atol=1e-14)
+        # the side of the chord is told by the remaining coordinate
+        k = 2 - fixed
+        assert ((edge[:, k] - start[k]) * (other[k] - start[k]) < 0).all()
+
+
 @pytest.mark.parametrize("count", [4, 6, 9, 14])
 def test_random_triangulations(count):
     rng = np.random.default_rng(count)

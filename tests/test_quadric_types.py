@@ -72,6 +72,21 @@ def test_types_do_not_depend_on_coordinates(name, projective, a):
             assert projective_type(b) == projective
 
 
+# without a quadratic part there is nothing to compare rounding in that part with
+QUADRATIC = [c for c in CASES if c[2][:3, :3].any()]
+
+
+@pytest.mark.parametrize(("name", "projective", "a"), QUADRATIC, ids=[c[0] for c in QUADRATIC])
+def test_types_bear_rounding(name, projective, a):
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        inverse = np.linalg.inv(affine(rng, 1.0))
+        b = inverse.T @ a @ inverse
+        # 1e-13 of the largest entry; the tolerance is 1e-10 of terms about as large as that
+        noise = rng.uniform(-1, 1, (4, 4)) * 1e-13 * np.abs(b).max()
+        assert classify_quadric(b + b.T + noise + noise.T) == name
+
+
 SIGNATURES = {
     "oval": (3, 1),
     "ruled": (2, 2),

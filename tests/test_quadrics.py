@@ -174,10 +174,16 @@ def test_fit_finds_the_quadric_of_a_patch(signature, times):
 
 
 @pytest.mark.parametrize("cover", [octants, tetrahedral])
-@pytest.mark.parametrize("place", [(0, 0, 0, 1), (3, -2, 5, 0.5), (1e4, 0, 0, 1), (0, 0, 0, 1e-6)])
+@pytest.mark.parametrize(
+    "place",
+    # at 2e6 the coordinates still have ten digits of the radius
+    [(0, 0, 0, 1), (3, -2, 5, 0.5), (1e4, 0, 0, 1), (2e6, 0, 0, 1), (0, 0, 0, 1e-6)],
+)
 def test_fit_of_sphere_covers(cover, place):
     patches = sphere(place[:3], place[3], cover.__name__)
     for h in (patches, patches.elevate(), patches.split()):
+        if place[0] > 1e6 and len(h) > len(patches):
+            continue  # a quarter of an octant has one digit too few there
         a, ok = fit_quadrics(h.control_points)
         assert ok.all()
         x = h.evaluate(np.arange(len(h)), np.full((len(h), 2), 0.2))
@@ -245,6 +251,37 @@ def test_nets_on_many_quadrics_are_refused(n):
     nets = [plane, line, point, ideal, np.zeros((k, 4)), powers @ rng.normal(size=(4, 4))]
     a, ok = fit_quadrics(np.array(nets))
     assert not ok.any() and not a.any()
+
+
+def test_white_nets_are_orthonormal_and_thickness_knows_no_place():
+    here = quadrics.whiten(octants().control_points)
+    for place in ((5, 5, 5, 2), (1e4, 0, 0, 1), (0, 0, 0, 1e-6)):
+        nets = sphere(place[:3], place[3]).control_points
+        white, back, thickness = quadrics.whiten(nets)
+        # 1e-10: 1e-16 of the coordinates against the radius, 1e4 times smaller; and the net
+        # times `back` has the condition 1e4 again
+        assert np.allclose(thickness, here[2], rtol=1e-10)
+        assert np.allclose(np.swapaxes(white, 1, 2) @ white, np.eye(4), atol=1e-14)
+        assert np.allclose(nets @ back, white, atol=1e-10)
+
+
+def test_thin_strip_along_a_space_curve():
+    # on x y = z w, of width 2 width, along a space cubic that lies on many quadrics
+    def net(width: float) -> np.ndarray:
+        monomials = np.zeros((10, 4))
+        for column, (i, j, factor) in enumerate([(2, 0, 1), (1, 0, 1), (3, 0, 1), (0, 0, 1)]):
+            monomials[bernstein.row(3, i, j), column] = factor
+        monomials[bernstein.row(3, 0, 1), 0] = width
+        monomials[bernstein.row(3, 1, 1), 2] = width
+        return np.linalg.solve(bernstein.monomial_matrix(3), monomials)
+
+    want = np.zeros((4, 4))
+    want[0, 1] = want[1, 0] = 1
+    want[2, 3] = want[3, 2] = -1
+    # 1e-15 over the width
+    assert same_up_to_factor(fit_quadric(net(1e-3)), want) < 1e-11
+    # the width times 0.5 is the second singular value, and the documented limit 1e-7
+    assert fit_quadric(net(1e-8), tolerance=1e-6) is None
 
 
 def test_single_and_batch_agree():
