@@ -170,7 +170,8 @@ class RenderRegression:
         integrator : mi.Integrator or dict, optional
             Overrules the scene's.
         reference_passes : int
-            Renders of `spp` samples that make up a new reference, at least 2.
+            Renders of `spp` samples that make up a new reference. Below some 16, its estimate
+            of the variance is so rough that equal scenes may fail.
         **limits
             Fields of `thresholds.Limits`, over those of the file ``bezier_thresholds``.
 
@@ -295,7 +296,9 @@ class _Shot:
             integrator = mi.load_dict(integrator)
         self._scene, self._sensor = scene, sensors[sensor]
         self._integrator = integrator or scene.integrator()
-        self._spp = spp or self._sensor.sampler().sample_count()
+        self._spp = self._sensor.sampler().sample_count() if spp is None else spp
+        if self._spp < 1:
+            raise BezierError.expected("spp", "a number of samples >= 1", spp)
 
     def render(self, seed: int) -> Image:
         """Return one render, float32, with the header attributes of a file."""
@@ -303,17 +306,17 @@ class _Shot:
 
         from .images import Image
 
-        film = self._sensor.film()
-        pixels = np.array(
-            self._mi.render(
-                self._scene,
-                sensor=self._sensor,
-                integrator=self._integrator,
-                spp=self._spp,
-                seed=seed,
-            )
+        self._mi.render(
+            self._scene,
+            sensor=self._sensor,
+            integrator=self._integrator,
+            spp=self._spp,
+            seed=seed,
         )
-        names = [field.name for field in film.bitmap().struct_()]
+        # the bitmap and not the tensor: that one leaves out some layers of AOV integrators
+        bitmap = self._sensor.film().bitmap()
+        pixels = np.array(bitmap)
+        names = [field.name for field in bitmap.struct_()]
         pixels = pixels.reshape(*pixels.shape[:2], -1)
         channels = {name: pixels[..., i] for i, name in enumerate(names)}
         return Image(channels, self._attributes(self._spp, [seed]))
