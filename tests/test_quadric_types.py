@@ -72,6 +72,16 @@ def test_types_do_not_depend_on_coordinates(name, projective, a):
             assert projective_type(b) == projective
 
 
+@pytest.mark.parametrize(("name", "projective", "a"), CASES, ids=IDS)
+def test_projective_type_bears_collineations(name, projective, a):
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        q, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+        inverse = q @ np.diag(rng.uniform(0.5, 2, 4))
+        b = inverse.T @ a @ inverse
+        assert projective_type(-(b + b.T)) == projective
+
+
 # without a quadratic part there is nothing to compare rounding in that part with
 QUADRATIC = [c for c in CASES if c[2][:3, :3].any()]
 
