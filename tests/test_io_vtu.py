@@ -16,7 +16,7 @@ from mitsuba_bezier import io
 from mitsuba_bezier.errors import FileFormatError
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.triangles import BezierTriangles
-from mitsuba_bezier.io import FormatWarning, lz4, vtu
+from mitsuba_bezier.io import FormatWarning, lz4, vtu, vtu_writer
 from mitsuba_bezier.io.vtk_xml import decode_bytes
 
 
@@ -87,12 +87,12 @@ VTK_QUINTIC = "500 050 005 410 320 230 140 041 032 023 014 104 203 302 401 311 1
 
 def test_order_of_points_of_degree_five():
     rows = [bernstein.row(5, int(t[0]), int(t[1])) for t in VTK_QUINTIC.split()]
-    assert vtu.point_order(5).tolist() == rows
+    assert vtu_writer.point_order(5).tolist() == rows
 
 
 @pytest.mark.parametrize("n", range(1, 10))
 def test_order_is_a_permutation(n):
-    assert sorted(vtu.point_order(n)) == list(range(bernstein.size(n)))
+    assert sorted(vtu_writer.point_order(n)) == list(range(bernstein.size(n)))
 
 
 def test_unflagged_weights_are_named_and_not_used(tmp_path):
@@ -124,7 +124,7 @@ def test_other_cells_are_reported(tmp_path):
 def test_mixed_degrees(tmp_path):
     one, two, four = random_nets(1, 2), random_nets(2, 3), random_nets(4, 1)
     path = tmp_path / "mixed.vtu"
-    vtu.write([four, one, two], path)
+    vtu_writer.write([four, one, two], path)
     assert io.load_groups(path) == [one, two, four]
     joined = io.load(path)
     assert joined.degree == 4
@@ -139,7 +139,7 @@ def test_mixed_degrees(tmp_path):
 def test_round_trip_is_lossless(tmp_path, n, encoding, ideal):
     nets = random_nets(n, ideal=ideal)
     path = tmp_path / "a.vtu"
-    vtu.write(nets, path, encoding)
+    vtu_writer.write(nets, path, encoding)
     assert io.load(path) == nets  # every bit
 
 
@@ -151,14 +151,14 @@ def test_nets_at_infinity_and_far_apart_scales(tmp_path):
     nets[3] *= -1
     nets[3, 0, 3] = 0
     path = tmp_path / "a.vtu"
-    vtu.write(BezierTriangles(nets), path)
+    vtu_writer.write(BezierTriangles(nets), path)
     assert np.array_equal(io.load(path).control_points, nets)
 
 
 def test_polynomial_nets_carry_no_weights(tmp_path):
     nets = random_nets(3).control_points.copy()
     nets[..., 3] = 1
-    vtu.write(BezierTriangles(nets), tmp_path / "a.vtu", "ascii")
+    vtu_writer.write(BezierTriangles(nets), tmp_path / "a.vtu", "ascii")
     text = (tmp_path / "a.vtu").read_text()
     assert "RationalWeights" not in text and vtu.HOMOGENEOUS not in text
     assert np.array_equal(io.load(tmp_path / "a.vtu").control_points, nets)
@@ -166,7 +166,7 @@ def test_polynomial_nets_carry_no_weights(tmp_path):
 
 def test_points_changed_by_another_program(tmp_path):
     path = tmp_path / "a.vtu"
-    vtu.write(random_nets(2), path, "ascii")
+    vtu_writer.write(random_nets(2), path, "ascii")
     text = path.read_text()
     first = text.index('Name="Points"')
     line_end = text.index("\n", first) + 1
@@ -200,7 +200,7 @@ def encode(nets: BezierTriangles, form, order, header, compressor, block=64, apa
     """Write a file as the format's description says; independent of the writer under test."""
     e = "<" if order == "LittleEndian" else ">"
     h = e + HEADERS[header]
-    net = nets.control_points[:, vtu.point_order(nets.degree)].reshape(-1, 4)
+    net = nets.control_points[:, vtu_writer.point_order(nets.degree)].reshape(-1, 4)
     count, size = len(net), nets.control_points.shape[1]
     appended = b""
 
@@ -437,7 +437,7 @@ def vtk_values(path, uv: np.ndarray) -> tuple[np.ndarray, object]:
 def test_vtk_evaluates_what_we_write(tmp_path, n, encoding):
     nets = random_nets(n)
     path = tmp_path / "a.vtu"
-    vtu.write(nets, path, encoding)
+    vtu_writer.write(nets, path, encoding)
     uv = np.random.default_rng(n).dirichlet([1, 1, 1], 20)[:, :2]
     got, _grid = vtk_values(path, uv)
     for p in range(len(nets)):
@@ -450,7 +450,7 @@ def test_vtk_shows_control_points_at_infinity(tmp_path):
     nets = random_nets(2, ideal=False).control_points.copy()
     nets[:, 1, 3] = 0
     path = tmp_path / "a.vtu"
-    vtu.write(BezierTriangles(nets), path)
+    vtu_writer.write(BezierTriangles(nets), path)
     uv = np.random.default_rng(0).dirichlet([1, 1, 1], 20)[:, :2]
     got, _grid = vtk_values(path, uv)
     for p in range(len(nets)):
@@ -465,7 +465,7 @@ def test_vtk_shows_control_points_at_infinity(tmp_path):
 def test_we_read_what_vtk_writes(tmp_path, mode, compressor, order, header):
     vtk = pytest.importorskip("vtk")
     nets = random_nets(4, 40)  # 600 points: several blocks
-    vtu.write(nets, tmp_path / "a.vtu")
+    vtu_writer.write(nets, tmp_path / "a.vtu")
     _values, grid = vtk_values(tmp_path / "a.vtu", np.zeros((0, 2)))
     grid.GetPointData().RemoveArray(vtu.HOMOGENEOUS)
     writer = vtk.vtkXMLUnstructuredGridWriter()

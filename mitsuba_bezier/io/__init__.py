@@ -33,11 +33,12 @@ _READERS = {
     ".bbp": "geomview.read",
     ".bez": "geomview.read",
     ".bv": "bezierview.read",
+    ".msh": "gmsh.read",
     ".obj": "obj.read",
     ".off": "geomview.read_off",
     ".vtu": "vtu.read",
 }
-_WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu.write"}
+_WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}
 
 
 def known_suffixes() -> tuple[list[str], list[str]]:

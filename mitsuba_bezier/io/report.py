@@ -45,7 +45,9 @@ class Report:
     refused : list of Refusal
         Faces that did not; their counts and `converted` sum to `faces`.
     notes : list of str
-        Warnings about the rest, one line each.
+        What the author of the file may not expect, one line each; `warn` says them.
+    remarks : list of str
+        What else is worth knowing.
     """
 
     path: str
@@ -54,6 +56,7 @@ class Report:
     converted: int = 0
     refused: list[Refusal] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def refuse(self, face: str, reason: str, count: int = 1) -> None:
         """Enter faces that cannot be converted."""

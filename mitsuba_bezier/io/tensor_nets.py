@@ -32,7 +32,12 @@ def tensor_nets(nets: np.ndarray) -> np.ndarray:
     """
     count, p, q = len(nets), nets.shape[1] - 1, nets.shape[2] - 1
     both = np.concatenate(tensor_matrices(p, q))
-    return (both @ nets.reshape(count, -1, 4)).reshape(2 * count, -1, 4)
+    out = both @ nets.reshape(count, -1, 4)
+    # equal weights stay equal to the last bit: polynomial patches are stored and shown as such
+    weight = nets[:, 0, 0, 3]
+    same = (nets[..., 3] == weight[:, None, None]).all(axis=(1, 2))
+    out[same, :, 3] = weight[same, None]
+    return out.reshape(2 * count, -1, 4)
 
 
 def fan(corners: np.ndarray) -> np.ndarray | None:

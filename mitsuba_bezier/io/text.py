@@ -12,6 +12,8 @@ from .files import damaged, read_text
 
 __all__ = ["Tokens"]
 
+_INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
+
 
 class Tokens:
     """The words of a text file, read one after the other.
@@ -77,8 +79,7 @@ class Tokens:
     def integer(self, name: str, low: int, high: int) -> int:
         """Take an integer within bounds."""
         word = self.word(name)
-        # the length: int() of a number of a million digits is slow
-        if not re.fullmatch(r"[+-]?\d{1,18}", word) or not low <= int(word) <= high:
+        if len(word) > 18 or not _INTEGER.fullmatch(word) or not low <= int(word) <= high:
             raise self.error(f"{name} from {low} to {high}", repr(word[:40]), back=1)
         return int(word)
 
@@ -100,6 +101,28 @@ class Tokens:
             raise self.error(f"{count} numbers for {name}", "other text")
         self._at += count
         return out
+
+    def integers(self, count: int, name: str) -> np.ndarray:
+        """Take `count` integers."""
+        if count > len(self):
+            self._at = len(self._words)
+            raise self.error(f"{count} integers for {name}", "the end of the file")
+        words = self._words[self._at : self._at + count]
+        # the length: int() of a number of a million digits is slow
+        good = [len(word) < 19 and bool(_INTEGER.fullmatch(word)) for word in words]
+        if not all(good):
+            self._at += good.index(False)
+            raise self.error(f"an integer for {name}", repr(self.peek()[:40]))
+        self._at += count
+        return np.array(list(map(int, words)), dtype=np.int64)
+
+    def skip_to(self, word: str) -> bool:
+        """Skip the words before the next `word`; return whether there is one."""
+        try:
+            self._at = self._words.index(word, self._at)
+        except ValueError:
+            return False
+        return True
 
     def skip_line(self, number: int) -> None:
         """Skip the words that are left on line `number`."""

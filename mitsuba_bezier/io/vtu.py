@@ -13,105 +13,98 @@ Sources: "VTK XML Formats" (see `vtk_xml`), vtkHigherOrderTriangle for the order
 
 from __future__ import annotations
 
-import base64
-import zlib
-from functools import cache
+from math import comb, isqrt
 from os import PathLike
+from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import FileFormatError
 from ..geometry import bernstein
-from ..geometry.triangles import BezierTriangles
-from .files import damaged, write_bytes
+from .cells import Cells, add_cells, add_surface
+from .files import damaged
+from .lattices import quad_lattice, tetra_lattice, triangle_lattice
 from .report import Collector, Model
 from .vtk_xml import Element, VtkXml
 
-__all__ = ["HOMOGENEOUS", "point_order", "read", "write"]
+__all__ = ["HOMOGENEOUS", "read"]
 
 #: Name of the point array of homogeneous control points.
 HOMOGENEOUS = "HomogeneousPoints"
 
-#: A control vector is shown to VTK as a point far away, of this weight relative to the largest:
-#: a power of two, so that the vector itself is kept exactly.
-_FAR = 2.0**-20
+#: Highest degree that is read; VTK itself stops at 10 for most cells.
+MAX_DEGREE = 40
 
-_BEZIER_TRIANGLE = 76
+#: Cell types that are read: number to (kind, are the points Bézier points).
+_READ = {
+    22: ("triangle", False),
+    69: ("triangle", False),
+    76: ("triangle", True),
+    23: ("quad", False),
+    28: ("quad", False),
+    70: ("quad", False),
+    77: ("quad", True),
+    24: ("tetra", False),
+    71: ("tetra", False),
+    78: ("tetra", True),
+}
 
-#: Cell types of VTK by number, for messages.
+#: Names of VTK's cell types.
 _CELL_NAMES = {
-    1: "VTK_VERTEX",
-    2: "VTK_POLY_VERTEX",
-    3: "VTK_LINE",
-    4: "VTK_POLY_LINE",
-    5: "VTK_TRIANGLE",
-    6: "VTK_TRIANGLE_STRIP",
-    7: "VTK_POLYGON",
-    8: "VTK_PIXEL",
-    9: "VTK_QUAD",
-    10: "VTK_TETRA",
-    11: "VTK_VOXEL",
-    12: "VTK_HEXAHEDRON",
-    13: "VTK_WEDGE",
-    14: "VTK_PYRAMID",
-    21: "VTK_QUADRATIC_EDGE",
-    22: "VTK_QUADRATIC_TRIANGLE",
-    23: "VTK_QUADRATIC_QUAD",
-    24: "VTK_QUADRATIC_TETRA",
-    25: "VTK_QUADRATIC_HEXAHEDRON",
-    28: "VTK_BIQUADRATIC_QUAD",
-    68: "VTK_LAGRANGE_CURVE",
-    69: "VTK_LAGRANGE_TRIANGLE",
-    70: "VTK_LAGRANGE_QUADRILATERAL",
-    71: "VTK_LAGRANGE_TETRAHEDRON",
-    72: "VTK_LAGRANGE_HEXAHEDRON",
-    73: "VTK_LAGRANGE_WEDGE",
-    74: "VTK_LAGRANGE_PYRAMID",
-    75: "VTK_BEZIER_CURVE",
-    76: "VTK_BEZIER_TRIANGLE",
-    77: "VTK_BEZIER_QUADRILATERAL",
-    78: "VTK_BEZIER_TETRAHEDRON",
-    79: "VTK_BEZIER_HEXAHEDRON",
-    80: "VTK_BEZIER_WEDGE",
-    81: "VTK_BEZIER_PYRAMID",
+    1: "VERTEX",
+    2: "POLY_VERTEX",
+    3: "LINE",
+    4: "POLY_LINE",
+    5: "TRIANGLE",
+    6: "TRIANGLE_STRIP",
+    7: "POLYGON",
+    8: "PIXEL",
+    9: "QUAD",
+    10: "TETRA",
+    11: "VOXEL",
+    12: "HEXAHEDRON",
+    13: "WEDGE",
+    14: "PYRAMID",
+    21: "QUADRATIC_EDGE",
+    22: "QUADRATIC_TRIANGLE",
+    23: "QUADRATIC_QUAD",
+    24: "QUADRATIC_TETRA",
+    25: "QUADRATIC_HEXAHEDRON",
+    26: "QUADRATIC_WEDGE",
+    28: "BIQUADRATIC_QUAD",
+    29: "TRIQUADRATIC_HEXAHEDRON",
+    34: "BIQUADRATIC_TRIANGLE",
+    42: "POLYHEDRON",
+    68: "LAGRANGE_CURVE",
+    69: "LAGRANGE_TRIANGLE",
+    70: "LAGRANGE_QUADRILATERAL",
+    71: "LAGRANGE_TETRAHEDRON",
+    72: "LAGRANGE_HEXAHEDRON",
+    73: "LAGRANGE_WEDGE",
+    74: "LAGRANGE_PYRAMID",
+    75: "BEZIER_CURVE",
+    76: "BEZIER_TRIANGLE",
+    77: "BEZIER_QUADRILATERAL",
+    78: "BEZIER_TETRAHEDRON",
+    79: "BEZIER_HEXAHEDRON",
+    80: "BEZIER_WEDGE",
+    81: "BEZIER_PYRAMID",
 }
 
 
-@cache
-def point_order(n: int) -> np.ndarray:
-    """Return the rows of our net in the order of VTK's points, ``(K,)`` integers.
-
-    VTK lists the corners, then the points inside the edges 01, 12, 20, then the same again for
-    the interior as a triangle of degree ``n - 3``.
-    """
-
-    def indices(m: int) -> list[tuple[int, int, int]]:
-        if m < 0:
-            return []
-        if m == 0:
-            return [(0, 0, 0)]
-        out = [(m, 0, 0), (0, m, 0), (0, 0, m)]
-        out += [(m - t, t, 0) for t in range(1, m)]
-        out += [(0, m - t, t) for t in range(1, m)]
-        out += [(t, 0, m - t) for t in range(1, m)]
-        return out + [(i + 1, j + 1, k + 1) for i, j, k in indices(m - 3)]
-
-    return np.array([bernstein.row(n, i, j) for i, j, _k in indices(n)])
-
-
-# ---------------------------------------------------------------------------- reading
-
-
 def read(path: str | PathLike[str]) -> Model:
-    """Read the Bézier triangles of a ``.vtu`` file.
+    """Read a ``.vtu`` file.
 
-    Other cells are counted in the report as refused. A `RationalWeights` array that is not
-    flagged is not used, as in VTK, and noted in the report.
+    Bézier triangles are taken as they are. Bézier quadrilaterals, Lagrange and quadratic
+    triangles and quadrilaterals are converted, as is the surface of Bézier, Lagrange and
+    quadratic tetrahedra. Other cells are counted in the report as refused; so are linear ones,
+    which make a plain mesh that Mitsuba renders itself.
+
+    A `RationalWeights` array that is not flagged is not used, as in VTK, and noted in the report.
 
     Raises
     ------
     FileFormatError
-        If the file is missing or damaged, or holds no Bézier triangle.
+        If the file is missing or damaged, or holds no such cell.
     """
     xml = VtkXml(path)
     grid = xml.root.first("UnstructuredGrid")
@@ -123,8 +116,9 @@ def read(path: str | PathLike[str]) -> Model:
             line=xml.root.line,
         )
     collector = Collector(path, "vtu")
+    first = 0
     for piece in grid.all("Piece"):
-        _read_piece(xml, piece, collector)
+        first = _read_piece(xml, piece, collector, first)
     return collector.model(
         lambda: damaged(path, "Bézier triangles (cells of type 76)", "none in this file")
     )
@@ -144,11 +138,18 @@ def _cell_array(xml: VtkXml, cells: Element, name: str) -> Element:
     raise damaged(xml.path, f"a DataArray {name!r} in <Cells>", "none", line=cells.line)
 
 
-def _read_piece(xml: VtkXml, piece: Element, collector: Collector) -> None:
+def _read_piece(xml: VtkXml, piece: Element, collector: Collector, first: int) -> int:
+    """Convert the cells of a piece; `first` is the number of its first cell.
+
+    Returns
+    -------
+    int
+        The number of the first cell of the next piece.
+    """
     points_count = xml.count(piece, "NumberOfPoints")
     cells_count = xml.count(piece, "NumberOfCells")
     if not cells_count:
-        return
+        return first
     cells = _child(xml, piece, "Cells")
     types = xml.array(_cell_array(xml, cells, "types"), cells_count, "integer")
     line = cells.line
@@ -158,24 +159,32 @@ def _read_piece(xml: VtkXml, piece: Element, collector: Collector) -> None:
     if (sizes < 0).any() or offsets[-1] > 2**62:
         cell = int(np.argmax(sizes < 0))
         raise damaged(xml.path, "offsets that grow", f"less at cell {cell}", line=line)
-    face = collector.report.faces + np.arange(cells_count)
-    _refuse_others(types, collector)
-    chosen = np.flatnonzero(types == _BEZIER_TRIANGLE)
-    if not len(chosen):
-        return
+    chosen = np.isin(types, list(_READ))
+    for kind, count in zip(*np.unique(types[~chosen], return_counts=True)):
+        name = _CELL_NAMES.get(int(kind), "?")
+        reason = "linear" if kind < 20 else "not supported"
+        collector.report.refuse(f"cells of type {kind}", f"VTK_{name}: {reason}", int(count))
+    if not chosen.any():
+        return first + cells_count
     connectivity = xml.array(_cell_array(xml, cells, "connectivity"), int(offsets[-1]), "integer")
     homogeneous = _points(xml, piece, points_count, collector)
-    for size in np.unique(sizes[chosen]).tolist():
-        group = chosen[sizes[chosen] == size]
-        try:
-            n = bernstein.degree_of(size)
-        except ValueError:
+    plain = np.concatenate([homogeneous.points, np.ones((points_count, 1))], axis=1)
+    degrees = _degrees(xml, piece, cells_count)
+    keys = np.column_stack([types, sizes, degrees])
+    surfaces: list[Cells] = []
+    volumes: list[Cells] = []
+    for key in np.unique(keys[chosen], axis=0):
+        group = np.flatnonzero((keys == key).all(axis=1))
+        number, size, p, q = key.tolist()
+        kind, is_bezier = _READ[number]
+        lattice = _lattice(kind, size, p, q)
+        if lattice is None:
             raise damaged(
                 xml.path,
-                "Bézier triangles of (n+1)(n+2)/2 points, n >= 1",
+                f"a number of points that fits VTK_{_CELL_NAMES[number]}",
                 f"{size} points in cell {group[0]}",
                 line=line,
-            ) from None
+            )
         index = connectivity[offsets[group][:, None] + np.arange(size)]
         bad = ((index < 0) | (index >= points_count)).any(axis=1)
         if bad.any():
@@ -186,20 +195,55 @@ def _read_piece(xml: VtkXml, piece: Element, collector: Collector) -> None:
                 f"{index[cell].tolist()} in cell {group[cell]}",
                 line=line,
             )
-        nets = np.empty((len(group), size, 4))
-        nets[:, point_order(n)] = homogeneous[index]
-        collector.add(nets, face[group])
-        collector.report.accept(len(group))
+        part = Cells(kind, lattice, index, is_bezier)
+        if kind == "tetra":
+            volumes.append(part)
+        else:
+            surfaces.append(part)
+            add_cells(collector, part, homogeneous.net if is_bezier else plain, first + group)
+    for is_bezier in (False, True):
+        some = [v for v in volumes if v.bezier == is_bezier]
+        net = homogeneous.net if is_bezier else plain
+        add_surface(collector, some, surfaces, net, first + cells_count)
+    return first + cells_count
 
 
-def _refuse_others(types: np.ndarray, collector: Collector) -> None:
-    for kind, count in zip(*np.unique(types[types != _BEZIER_TRIANGLE], return_counts=True)):
-        name = _CELL_NAMES.get(int(kind), "unknown")
-        collector.report.refuse(f"cells of type {kind}", f"{name}, no Bézier triangle", int(count))
+def _lattice(kind: str, size: int, p: int, q: int) -> np.ndarray | None:
+    """Return where the points of a cell lie; None if their number is not possible."""
+    if kind == "quad":
+        if p < 1 or q < 1:
+            p = q = isqrt(size) - 1
+            if size == 8:  # without the middle node
+                return quad_lattice(2, 2, "vtk")[:8]
+        return quad_lattice(p, q, "vtk") if p >= 1 and (p + 1) * (q + 1) == size else None
+    count = {"triangle": bernstein.size, "tetra": lambda n: comb(n + 3, 3)}[kind]
+    n = next((n for n in range(1, size) if count(n) >= size), 0)
+    if n < 1 or n > MAX_DEGREE or count(n) != size:
+        return None
+    return triangle_lattice(n) if kind == "triangle" else tetra_lattice(n, "vtk")
 
 
-def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> np.ndarray:
-    """Return the homogeneous points ``(count, 4)`` of a piece."""
+def _degrees(xml: VtkXml, piece: Element, count: int) -> np.ndarray:
+    """Return the degrees (p, q) of quadrilaterals, ``(count, 2)``; 0 where they are not given."""
+    data = piece.first("CellData")
+    name = data.attributes.get("HigherOrderDegrees") if data is not None else None
+    for element in data.all("DataArray") if data is not None and name else ():
+        if element.attributes.get("Name") == name:
+            if element.attributes.get("NumberOfComponents") != "3":
+                raise damaged(xml.path, f"3 components in {name!r}", "others", line=element.line)
+            values = xml.array(element, 3 * count).reshape(-1, 3)[:, :2]
+            good = (values >= 0) & (values <= MAX_DEGREE)
+            return np.where(good, values, 0).astype(int)
+    return np.zeros((count, 2), int)
+
+
+class _Net(NamedTuple):
+    points: np.ndarray  # (N, 3), as VTK sees them
+    net: np.ndarray  # (N, 4), homogeneous
+
+
+def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> _Net:
+    """Return the points of a piece."""
     array = _child(xml, _child(xml, piece, "Points"), "DataArray")
     components = array.attributes.get("NumberOfComponents", "3")
     if components != "3":
@@ -226,7 +270,7 @@ def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> np
         )
     out = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
     if homogeneous is None:
-        return out
+        return _Net(points, out)
     components = homogeneous.attributes.get("NumberOfComponents", "1")
     if components != "4":
         raise damaged(
@@ -246,139 +290,4 @@ def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> np
             "to use the points and weights",
             line=homogeneous.line,
         )
-    return exact
-
-
-# ---------------------------------------------------------------------------- writing
-
-
-def write(
-    triangles: BezierTriangles | list[BezierTriangles],
-    path: str | PathLike[str],
-    encoding: str = "appended",
-) -> None:
-    """Write Bézier triangles as a ``.vtu`` file that VTK and ParaView show.
-
-    Parameters
-    ----------
-    triangles : BezierTriangles or list of BezierTriangles
-        The patches; a list may mix degrees.
-    path : path
-        The file.
-    encoding : str
-        ``"appended"`` (raw, zlib), ``"binary"`` (base64, zlib) or ``"ascii"``.
-        Each is lossless.
-
-    Raises
-    ------
-    FileFormatError
-        If the encoding is unknown or the file cannot be written.
-    """
-    if encoding not in ("appended", "binary", "ascii"):
-        raise FileFormatError.expected(
-            "encoding", "'appended', 'binary' or 'ascii'", repr(encoding)
-        )
-    groups = [triangles] if isinstance(triangles, BezierTriangles) else list(triangles)
-    if not groups:
-        raise FileFormatError.expected("triangles", "at least one BezierTriangles", "none")
-    nets = [g.control_points[:, point_order(g.degree)] for g in groups]
-    homogeneous = np.concatenate([net.reshape(-1, 4) for net in nets])
-    sizes = np.concatenate([np.full(len(net), net.shape[1]) for net in nets])
-    affine = [_euclidean(net) for net in nets]
-    points = np.concatenate([p.reshape(-1, 3) for p, _w in affine])
-    weights = np.concatenate([w.reshape(-1) for _p, w in affine])
-
-    out = _Writer(encoding)
-    flag = ""
-    point_data = []
-    if (weights != 1).any():
-        flag = ' RationalWeights="RationalWeights"'
-        point_data.append(out.array("RationalWeights", weights, "Float64"))
-    if not np.array_equal(points * weights[:, None], homogeneous[:, :3]) or not np.array_equal(
-        weights, homogeneous[:, 3]
-    ):
-        point_data.append(out.array(HOMOGENEOUS, homogeneous, "Float64"))
-    body = [
-        f'<Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(sizes)}">',
-        f"<PointData{flag}>",
-        *point_data,
-        "</PointData>",
-        "<Points>",
-        out.array("Points", points, "Float64"),
-        "</Points>",
-        "<Cells>",
-        out.array("connectivity", np.arange(len(points)), "Int64"),
-        out.array("offsets", np.cumsum(sizes), "Int64"),
-        out.array("types", np.full(len(sizes), _BEZIER_TRIANGLE), "UInt8"),
-        "</Cells>",
-        "</Piece>",
-    ]
-    write_bytes(path, out.document(body))
-
-
-def _euclidean(nets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points ``(P, K, 3)`` and weights ``(P, K)`` that VTK can evaluate.
-
-    A control vector becomes a far point of small weight, of the sign that the weights of its
-    net have; the zero vector becomes any point of weight 0.
-    """
-    weights = nets[..., 3].copy()
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        points = nets[..., :3] / weights[..., None]
-    vector = ~np.isfinite(points).all(axis=-1)  # w = 0, or so small that the point overflows
-    if vector.any():
-        largest = np.abs(weights).max() or np.abs(nets).max()
-        sign = np.where(weights.sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
-        far = sign * _FAR * 2.0 ** np.floor(np.log2(largest))
-        weights = np.where(vector, far, weights)
-        points[vector] = nets[vector, :3] / weights[vector, None]
-    zero = ~nets.any(axis=-1)
-    weights[zero] = 0.0
-    if zero.any() and not zero.all():  # a place that does not enlarge the bounding box
-        points[zero] = points[~zero][0]
-    return points, weights
-
-
-class _Writer:
-    """Turns arrays into ``DataArray`` elements of one encoding."""
-
-    def __init__(self, encoding: str) -> None:
-        self._encoding = encoding
-        self._appended: list[bytes] = []
-        self._size = 0
-
-    def array(self, name: str, values: np.ndarray, typename: str) -> str:
-        components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
-        head = f'<DataArray type="{typename}" Name="{name}"{components} format="{self._encoding}"'
-        if self._encoding == "ascii":
-            rows = values if values.ndim == 2 else values[:, None]
-            lines = (" ".join(map(repr, row)) for row in rows.tolist())
-            return head + ">\n" + "\n".join(lines) + "\n</DataArray>"
-        dtype = {"Float64": "<f8", "Int64": "<i8", "UInt8": "<u1"}[typename]
-        header, data = self._compress(values.astype(dtype).tobytes())
-        if self._encoding == "binary":
-            text = (base64.b64encode(header) + base64.b64encode(data)).decode()
-            return f"{head}>\n{text}\n</DataArray>"
-        offset = self._size
-        self._appended += [header, data]
-        self._size += len(header) + len(data)
-        return f'{head} offset="{offset}"/>'
-
-    @staticmethod
-    def _compress(data: bytes, block: int = 1 << 20) -> tuple[bytes, bytes]:
-        """Return VTK's header (blocks, block size, last partial block, sizes) and the blocks."""
-        parts = [zlib.compress(data[i : i + block], 6) for i in range(0, len(data), block)]
-        head = [len(parts), block, len(data) % block, *map(len, parts)]
-        return np.array(head, dtype="<u8").tobytes(), b"".join(parts)
-
-    def document(self, body: list[str]) -> bytes:
-        compressor = "" if self._encoding == "ascii" else ' compressor="vtkZLibDataCompressor"'
-        head = (
-            '<?xml version="1.0"?>\n'
-            '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
-            f'header_type="UInt64"{compressor}>\n<UnstructuredGrid>\n'
-        )
-        parts = [head.encode(), "\n".join(body).encode(), b"\n</UnstructuredGrid>\n"]
-        if self._encoding == "appended":
-            parts += [b'<AppendedData encoding="raw">\n_', *self._appended, b"\n</AppendedData>\n"]
-        return b"".join([*parts, b"</VTKFile>\n"])
+    return _Net(points, exact)

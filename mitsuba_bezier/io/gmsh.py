@@ -1,0 +1,317 @@
+"""Gmsh meshes (``.msh``, versions 2.2 and 4.1, text and binary) of any order.
+
+Triangles, quadrilaterals (also the eight-node one) and the surface of tetrahedra and hexahedra
+are converted; everything else is reported.
+
+Source: the Gmsh reference manual, "Gmsh file formats", https://gmsh.info/doc/texinfo/gmsh.html
+"""
+
+from __future__ import annotations
+
+import re
+from os import PathLike
+
+import numpy as np
+
+from ..errors import FileFormatError
+from .cells import Cells, add_cells, add_surface
+from .files import damaged, read_bytes
+from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_lattice
+from .report import Collector, Model
+from .tensor_nets import homogeneous
+from .text import Tokens
+
+__all__ = ["read"]
+
+#: Element types: number to (kind, order, nodes).
+_TYPES: dict[int, tuple[str, int, int]] = {15: ("point", 0, 1)}
+for _n, _line, _tri, _quad, _tet, _hex in zip(
+    range(1, 11),
+    (1, 8, 26, 27, 28, 62, 63, 64, 65, 66),
+    (2, 9, 21, 23, 25, 42, 43, 44, 45, 46),
+    (3, 10, 36, 37, 38, 47, 48, 49, 50, 51),
+    (4, 11, 29, 30, 31, 71, 72, 73, 74, 75),
+    (5, 12, 92, 93, 94, 95, 96, 97, 98, 0),
+):
+    _TYPES[_line] = ("line", _n, _n + 1)
+    _TYPES[_tri] = ("triangle", _n, (_n + 1) * (_n + 2) // 2)
+    _TYPES[_quad] = ("quad", _n, (_n + 1) ** 2)
+    _TYPES[_tet] = ("tetra", _n, (_n + 1) * (_n + 2) * (_n + 3) // 6)
+    if _hex:
+        _TYPES[_hex] = ("hexahedron", _n, (_n + 1) ** 3)
+_TYPES |= {16: ("quad", 2, 8), 17: ("hexahedron", 2, 20)}
+_TYPES |= {6: ("prism", 1, 6), 13: ("prism", 2, 18), 18: ("prism", 2, 15)}
+_TYPES |= {7: ("pyramid", 1, 5), 14: ("pyramid", 2, 14), 19: ("pyramid", 2, 13)}
+_TYPES |= {20: ("incomplete triangle", 3, 9), 22: ("incomplete triangle", 4, 12)}
+_TYPES |= {39: ("incomplete quad", 3, 12)}
+
+
+class _Text:
+    """A file of words."""
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.path = path
+        self._tokens = Tokens(path, comment="\0")  # there are no comments
+        self.size = len(self._tokens)
+
+    def error(self, expected: str, got: object) -> FileFormatError:
+        return self._tokens.error(expected, got, back=1)
+
+    def done(self) -> bool:
+        return not len(self._tokens)
+
+    def word(self, expected: str) -> str:
+        return self._tokens.word(expected)
+
+    header = word
+
+    def skip_to(self, word: str) -> bool:
+        return self._tokens.skip_to(word)
+
+    def take(self, dtype: str, count: int, name: str) -> np.ndarray:
+        if dtype == "f8":
+            return self._tokens.numbers(count, name)
+        return self._tokens.integers(count, name)
+
+
+class _Binary:
+    """A file of binary numbers between lines of text."""
+
+    def __init__(self, path: str | PathLike[str], data: bytes) -> None:
+        self.path = path
+        self._data = data
+        self.size = len(data)
+        self._at = 0
+        self._order = "<"
+
+    def error(self, expected: str, got: object) -> FileFormatError:
+        return damaged(self.path, expected, got, offset=self._at)
+
+    def done(self) -> bool:
+        return not self._data[self._at :].strip() if self._at > self.size - 64 else False
+
+    def word(self, expected: str) -> str:
+        """Take the next word, and the character after it."""
+        match = re.compile(rb"\s*(\S{1,64})").match(self._data, self._at)
+        if not match:
+            raise self.error(expected, "the end of the file")
+        self._at = match.end() + 1
+        return match[1].decode("latin-1")
+
+    def header(self, expected: str) -> str:
+        """Take a number in a line of its own; binary data follow at once."""
+        return self.word(expected)
+
+    def skip_to(self, word: str) -> bool:
+        at = self._data.find(word.encode(), self._at)
+        self._at = max(at, self._at)
+        return at >= 0
+
+    def take(self, dtype: str, count: int, name: str) -> np.ndarray:
+        kind = np.dtype(self._order + dtype)
+        if count * kind.itemsize > self.size - self._at:
+            raise self.error(f"{count} numbers for {name}", "the end of the file")
+        out = np.frombuffer(self._data, kind, count, self._at)
+        self._at += count * kind.itemsize
+        if dtype == "u8" and count and out.max() > np.iinfo(np.int64).max:
+            raise self.error(f"numbers below 2**63 for {name}", out.max())
+        return out.astype(np.float64 if dtype[0] == "f" else np.int64)
+
+    def nodes(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Take the nodes of version 2.2: numbers and coordinates interleaved."""
+        row = np.dtype([("tag", self._order + "i4"), ("x", self._order + "f8", 3)])
+        if count * row.itemsize > self.size - self._at:
+            raise self.error(f"{count} nodes", "the end of the file")
+        rows = np.frombuffer(self._data, row, count, self._at)
+        self._at += count * row.itemsize
+        return rows["tag"].astype(np.int64), rows["x"].astype(np.float64)
+
+    def byte_order(self) -> None:
+        """Take the number 1, which tells the byte order."""
+        one = self._data[self._at : self._at + 4]
+        if one not in (b"\0\0\0\1", b"\1\0\0\0"):
+            raise self.error("the number 1 in binary", repr(one))
+        self._order = ">" if one[3] else "<"
+        self._at += 4
+
+
+_File = _Text | _Binary
+
+
+def _count(file: _File, dtype: str, name: str) -> int:
+    """Take a number of things, each of which takes a byte or a word at least."""
+    value = int(file.take(dtype, 1, name)[0])
+    if not 0 <= value <= file.size:
+        raise file.error(f"{name} that fits the size of the file", value)
+    return value
+
+
+def _header(file: _File, name: str) -> int:
+    """Take a number in a line of its own, which is text in version 2.2 always."""
+    text = file.header(name)
+    if not re.fullmatch(r"[0-9]{1,18}", text) or int(text) > file.size:
+        raise file.error(f"{name} that fits the size of the file", repr(text[:40]))
+    return int(text)
+
+
+def read(path: str | PathLike[str]) -> Model:
+    """Read the surface elements of a ``.msh`` file, and the surface of its volume elements.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, damaged, of another version, or holds no surface.
+    """
+    data = read_bytes(path)
+    start = re.match(rb"\s*\$MeshFormat\s+(\S{1,20})\s+([01])\s+(\S{1,20})[ \t\r]*\n?", data)
+    if not start:
+        raise damaged(
+            path, "$MeshFormat with version, file type and data size", "other text", line=1
+        )
+    version = {b"2.2": 2, b"2": 2, b"4.1": 4}.get(start[1])
+    if version is None:
+        got = start[1].decode("latin-1")
+        raise damaged(path, "version 2.2 or 4.1 (gmsh IN -save -format msh41)", repr(got), line=2)
+    file: _File
+    if start[2] == b"1":
+        if start[3] != b"8":
+            got = start[3].decode("latin-1")
+            raise damaged(path, "a data size of 8 bytes", repr(got), line=2)
+        file = _Binary(path, data)
+    else:
+        file = _Text(path)
+    nodes: list[tuple[np.ndarray, np.ndarray]] = []
+    elements: dict[int, list[np.ndarray]] = {}
+    for _ in range(4):  # $MeshFormat and its three words
+        file.word("$MeshFormat")
+    if isinstance(file, _Binary):
+        file.byte_order()
+    _end(file, "$MeshFormat")
+    while not file.done():
+        name = file.word("a section such as $Nodes")
+        if not re.fullmatch(r"\$\w+", name):
+            raise file.error("a section such as $Nodes", repr(name[:40]))
+        if name == "$Nodes":
+            (_read_nodes_2 if version == 2 else _read_nodes_4)(file, nodes)
+        elif name == "$Elements":
+            (_read_elements_2 if version == 2 else _read_elements_4)(file, elements)
+        elif not file.skip_to(f"$End{name[1:]}"):
+            raise file.error(f"$End{name[1:]}", "the end of the file")
+        _end(file, name)
+    collector = Collector(path, "msh")
+    if elements:
+        tags = np.concatenate([np.zeros(0, np.int64), *(tag for tag, _x in nodes)])
+        points = np.concatenate([np.zeros((0, 3)), *(x for _tag, x in nodes)])
+        _convert(file, collector, tags, points, elements)
+    return collector.model(lambda: damaged(path, "surface elements", "none in this file"))
+
+
+def _end(file: _File, name: str) -> None:
+    word = file.word(f"$End{name[1:]}")
+    if word != f"$End{name[1:]}":
+        raise file.error(f"$End{name[1:]}", repr(word[:40]))
+
+
+def _read_nodes_2(file: _File, nodes: list) -> None:
+    count = _header(file, "the number of nodes")
+    if isinstance(file, _Binary):
+        nodes.append(file.nodes(count))
+        return
+    values = file.take("f8", 4 * count, "the nodes").reshape(-1, 4)
+    if not (np.abs(values[:, 0]) < 2**53).all():
+        raise file.error("integers as numbers of nodes", "others")
+    nodes.append((values[:, 0].astype(np.int64), values[:, 1:]))
+
+
+def _read_nodes_4(file: _File, nodes: list) -> None:
+    blocks = _count(file, "u8", "the number of blocks of nodes")
+    file.take("u8", 3, "the header of $Nodes")
+    for _ in range(blocks):
+        dim, _tag, parametric = file.take("i4", 3, "a block of nodes").tolist()
+        count = _count(file, "u8", "the number of nodes")
+        tags = file.take("u8", count, "numbers of nodes")
+        if not 0 <= dim <= 3:
+            raise file.error("a dimension from 0 to 3", dim)
+        width = 3 + (dim if parametric else 0)
+        nodes.append((tags, file.take("f8", width * count, "nodes").reshape(-1, width)[:, :3]))
+
+
+def _size(file: _File, kind: int) -> int:
+    if kind not in _TYPES:
+        raise file.error("a known type of element", f"type {kind}")
+    return _TYPES[kind][2]
+
+
+def _read_elements_2(file: _File, elements: dict) -> None:
+    left = _header(file, "the number of elements")
+    if isinstance(file, _Text):
+        for _ in range(left):
+            _number, kind, labels = file.take("i4", 3, "an element").tolist()
+            if not 0 <= labels <= 1000:
+                raise file.error("a number of tags", labels)
+            row = file.take("i4", labels + _size(file, kind), "the nodes of an element")
+            elements.setdefault(kind, []).append(row[None, labels:])
+        return
+    while left > 0:
+        kind, count, labels = file.take("i4", 3, "a block of elements").tolist()
+        if not (0 < count <= left and 0 <= labels <= 1000):
+            raise file.error("a count and a number of tags", f"{count}, {labels}")
+        width = 1 + labels + _size(file, kind)
+        rows = file.take("i4", width * count, "elements").reshape(-1, width)
+        elements.setdefault(kind, []).append(rows[:, 1 + labels :])
+        left -= count
+
+
+def _read_elements_4(file: _File, elements: dict) -> None:
+    blocks = _count(file, "u8", "the number of blocks of elements")
+    file.take("u8", 3, "the header of $Elements")
+    for _ in range(blocks):
+        _dim, _tag, kind = file.take("i4", 3, "a block of elements").tolist()
+        count = _count(file, "u8", "the number of elements")
+        width = 1 + _size(file, kind)
+        rows = file.take("u8", width * count, "elements").reshape(-1, width)
+        elements.setdefault(kind, []).append(rows[:, 1:])
+
+
+def _convert(
+    file: _File,
+    collector: Collector,
+    tags: np.ndarray,
+    points: np.ndarray,
+    elements: dict[int, list[np.ndarray]],
+) -> None:
+    """Convert the elements; `tags` are the numbers of the nodes, in any order."""
+    order = np.argsort(tags, kind="stable")
+    ordered = tags[order]
+    surfaces: list[Cells] = []
+    volumes: list[Cells] = []
+    for number in sorted(elements):
+        kind, n, _size = _TYPES[number]
+        nodes = np.concatenate(elements[number])
+        if kind in ("point", "line"):
+            collector.report.remarks.append(f"{len(nodes)} elements of type {number} ({kind})")
+            continue
+        if kind not in ("triangle", "quad", "tetra", "hexahedron"):
+            name = f"elements of type {number}"
+            collector.report.refuse(name, f"{kind}: not supported", len(nodes))
+            continue
+        at = np.searchsorted(ordered, nodes)
+        at[at == len(ordered)] = 0
+        if not len(ordered) or (ordered[at] != nodes).any():
+            raise damaged(
+                file.path, "elements of nodes that are in $Nodes", f"others (type {number})"
+            )
+        rows = order[at]
+        if kind == "triangle":
+            surfaces.append(Cells(kind, triangle_lattice(n), rows))
+        elif kind == "quad":
+            surfaces.append(Cells(kind, quad_lattice(n, n, "gmsh")[: rows.shape[1]], rows))
+        elif kind == "tetra":
+            volumes.append(Cells(kind, tetra_lattice(n, "gmsh"), rows))
+        else:
+            volumes.append(Cells(kind, hexahedron_lattice(n)[: rows.shape[1]], rows))
+    net_points = homogeneous(points)
+    for cells in surfaces:
+        source = collector.report.faces + np.arange(len(cells.nodes))
+        add_cells(collector, cells, net_points, source)
+    add_surface(collector, volumes, surfaces, net_points, collector.report.faces)
