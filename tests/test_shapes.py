@@ -45,7 +45,7 @@ QUADRICS = [
         {"radii": (2, 1), "height": 3},
         quadric([3 / 4, 3, 0, 0], 1),
         "elliptic paraboloid",
-        2,
+        3,
         PI * 2 * 3 / 2,
     ),
     (
@@ -62,7 +62,7 @@ QUADRICS = [
         {"radii": (2, 1, 0.5), "height": 0.5},
         quadric([1 / 4, 1, -4, 1]),
         "hyperboloid of two sheets",
-        4,
+        6,
         # pi rx ry times twice the integral of (z/rz)^2 - 1 over 0.5 < z < 1
         PI * 2 * 2 * (4 / 3 * (1 - 1 / 8) - 0.5),
     ),
@@ -189,7 +189,7 @@ def test_hyperboloids_of_any_height(height):
     error = implicit(np.diag([1.0, 1, -1, -1]), one.evaluate(patch, uv))
     assert error < 1e-15 * (4 + height**2)
     two = shapes.hyperboloid_two_sheets(height=height)
-    patch, uv = parameters(np.random.default_rng(5), 4, 500)
+    patch, uv = parameters(np.random.default_rng(5), 6, 500)
     assert implicit(np.diag([1.0, 1, -1, 1]), two.evaluate(patch, uv)) < 1e-14
     heights = np.abs(two.points(patch, uv)[:, 2])
     assert heights.min() >= 1 - 1e-12 and heights.max() <= 1 + height * (1 + 1e-12)

@@ -4,8 +4,10 @@ All are nets of degree 2 with corner weights 1, so that neighbours have equal pa
 their common edge. The first two lie on a quadric, projected by `quadric_patch` from one of its
 points:
 
-* a *cap*, cut off by the plane of a circle: two lunes between a point S of the circle and the
-  opposite one, projected from S;
+* a *cap*, cut off by the plane of a circle, projected from the point S of the circle at 180
+  degrees. From there the circle is a line and the cap a half plane, which two parallel rays
+  from the points at -60 and 60 degrees cut into a half strip and two quarter planes: patches
+  with one, two and two ideal corners, all of which lie in S;
 * a *band* between two circles, in three sectors of two patches each, one for the arc on either
   circle. Seen from above, the upper arc from -60 to 60 degrees is projected from the point of
   the upper circle at 120 degrees, the lower arc from that of the lower circle at -120 degrees.
@@ -30,7 +32,6 @@ __all__ = [
     "cap",
     "circle_point",
     "disk_sectors",
-    "flattened",
     "outward",
     "placed",
     "sectors",
@@ -85,32 +86,14 @@ def band(a: np.ndarray, low: tuple[float, float], high: tuple[float, float]) -> 
 
 
 def cap(a: np.ndarray, radius: float, z: float) -> list[np.ndarray]:
-    """Return the two lunes of a quadric of revolution cut off by a circle.
-
-    The lunes lie on either side of the meridian through S, in the plane ``y = 0``.
-    """
-    center, opposite = np.array([[radius, 0.0, z, 1.0], [-radius, 0.0, z, 1.0]])
+    """Return three patches of an oval quadric of revolution, cut off by a circle."""
+    center = np.array([-radius, 0.0, z, 1.0])
     gradient = a @ center
-    inwards = [-1.0, 0.0, gradient[0] / gradient[2], 0.0]  # tangent of the meridian
-    nets = []
-    for side in (1.0, -1.0):
-        points = [opposite, [0.0, side, 0.0, 0.0], inwards]
-        nets.append(outward(a, _standard(quadric_patch(a, center, points))))
-    return nets
-
-
-def flattened(nets: list[np.ndarray], z: float, up: bool) -> list[np.ndarray]:
-    """Return the projections along z, onto a horizontal plane, of nets of a graph over it.
-
-    They are oriented upwards or downwards.
-    """
-    flat = []
-    for net in nets:
-        image = net.copy()
-        image[:, 2] = z * image[:, 3]
-        normal = BezierTriangles(image).normals(0, [[1 / 3, 1 / 3]])[0]
-        flat.append(image if (normal[2] > 0) == up else image[_REVERSED])
-    return flat
+    inwards = np.array([1.0, 0.0, -gradient[0] / gradient[2], 0.0])  # tangent of the meridian
+    aside = np.array([0.0, 1.0, 0.0, 0.0])  # tangent of the circle
+    left, right = circle_point(np.pi / 3, radius, z), circle_point(-np.pi / 3, radius, z)
+    triangles = ([right, left, inwards], [left, aside, inwards], [right, -aside, inwards])
+    return [outward(a, _standard(quadric_patch(a, center, t))) for t in triangles]
 
 
 def sectors(rim_z: float, radius: float, tip: np.ndarray, middle: float) -> list[np.ndarray]:
@@ -130,8 +113,9 @@ def sectors(rim_z: float, radius: float, tip: np.ndarray, middle: float) -> list
 
 
 def disk_sectors(radius: float, z: float, up: bool) -> list[np.ndarray]:
-    """Return a horizontal disk in three sectors."""
-    return flattened(sectors(z, radius, circle_point(0.0, 0.0, z), 0.5), z, up)
+    """Return a horizontal disk in three sectors, oriented upwards or downwards."""
+    nets = sectors(z, radius, circle_point(0.0, 0.0, z), 0.5)
+    return nets if up else [net[_REVERSED] for net in nets]
 
 
 def placed(nets: list[np.ndarray], center: np.ndarray, scale: Any) -> BezierTriangles:

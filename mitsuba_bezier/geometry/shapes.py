@@ -18,7 +18,7 @@ from .checks import length, lengths, vector
 from .covers import sphere
 from .plane_shapes import disk, half_plane, plane, quarter_plane
 from .quadrics import quadric_patch
-from .revolution import band, cap, circle_point, disk_sectors, flattened, outward, placed, sectors
+from .revolution import band, cap, circle_point, disk_sectors, outward, placed, sectors
 from .tensor import tensor_to_triangles
 from .triangles import BezierTriangles
 
@@ -81,7 +81,7 @@ def elliptic_paraboloid(
     Returns
     -------
     BezierTriangles
-        Two quadratic patches, and two for the disk.
+        Three quadratic patches, and three for the disk.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def elliptic_paraboloid(
     a = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, -0.5], [0, 0, -0.5, 0]])
     nets = cap(a, 1.0, 1.0)
     if capped:
-        nets = nets + flattened(nets, 1.0, True)
+        nets = nets + disk_sectors(1.0, 1.0, True)
     return placed(nets, c, [*r, h])
 
 
@@ -187,7 +187,7 @@ def hyperboloid_two_sheets(
     Returns
     -------
     BezierTriangles
-        Two quadratic patches for the upper sheet (and two for its disk), then the lower one.
+        Three quadratic patches for the upper sheet (and three for its disk), then the lower one.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def hyperboloid_two_sheets(
     for sheet, height_of_rim in ((upper, z), (lower, -z)):
         nets += sheet
         if capped:
-            nets += flattened(sheet, height_of_rim, height_of_rim > 0)
+            nets += disk_sectors(rim, height_of_rim, height_of_rim > 0)
     return placed(nets, c, r)
 
 
