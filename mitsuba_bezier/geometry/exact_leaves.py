@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import bernstein
-from .leaves import FORM_ENTRIES, Leaves
+from .leaves import FORM, FORM_ENTRIES, LEAST, Leaves
 from .triangles import BezierTriangles
 
 __all__ = ["exact_leaves"]
@@ -43,15 +43,16 @@ def exact_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     frame = np.zeros((len(keep), 4, 4))
     frame[:, :3] = rows
     forms *= size[keep, None, None]  # gradient of order one: f is a length
+    form = np.zeros((len(keep), FORM))
+    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    form[:, LEAST] = _least_sum(rows, shift[keep], nets[keep], n)
     leaves = Leaves(
         patch=keep,
         domain=np.broadcast_to(np.eye(3), (len(keep), 3, 3)).copy(),
         exact=np.ones(len(keep), dtype=bool),
         shift=shift[keep],
         frame=frame,
-        form=np.concatenate(
-            [np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], -1), np.zeros((len(keep), 3))], -1
-        ),
+        form=form,
         net=np.zeros((len(keep), k, 4)),
         box=_tight_boxes(patches[keep]),
         certified=np.ones(len(keep), dtype=bool),
@@ -110,6 +111,19 @@ def _planar_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     forms[:, :, 3] += plane / 2
     forms[:, 3, :] += plane / 2
     return rows, forms, found
+
+
+def _least_sum(rows: np.ndarray, shift: np.ndarray, nets: np.ndarray, n: int) -> np.ndarray:
+    """Return half the smallest ``|sum of rows . (p - shift, 1)|`` among samples of each patch.
+
+    The sum is a linear form over the weight, so the samples come near its minimum.
+    """
+    h = bernstein.basis(n, bernstein.multi_indices(12)[:, :2] / 12.0) @ nets
+    h[..., :3] -= h[..., 3:] * shift[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.abs(np.einsum("lrc,lsc->ls", rows, h) / h[..., 3])
+    value = 0.5 * np.where(np.isfinite(value), value, np.inf).min(axis=1)
+    return np.where(np.isfinite(value), value, 0.0)
 
 
 def _tight_boxes(patches: BezierTriangles, levels: int = 3) -> np.ndarray:

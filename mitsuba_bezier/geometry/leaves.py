@@ -34,11 +34,16 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-__all__ = ["FORM", "FORM_ENTRIES", "LeafSettings", "Leaves"]
+__all__ = ["FORM", "FORM_ENTRIES", "LEAST", "LeafSettings", "Leaves"]
 
 
 #: Numbers in `Leaves.form`.
 FORM = 13
+
+#: Place in the form of an exact leaf of a lower bound on ``|U_0 + U_1 + U_2|`` over the patch,
+#: where the rows of the frame give ``U`` on ``(p - shift, 1)``. All four vanish at the centre of
+#: projection, which is not on the patch unless this is zero.
+LEAST = 10
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
 FORM_ENTRIES = (
@@ -93,7 +98,7 @@ class Leaves:
     exact: np.ndarray  #: (L,) bool
     shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
     frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: u, v, w, 0) on (p - shift, 1)
-    form: np.ndarray  #: (L, 13) quadric (`FORM_ENTRIES`), or a b c, four bounds, six for (u, v)
+    form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric, `LEAST`)
     net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1); zero for exact leaves
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
     certified: np.ndarray  #: (L,) bool: the bounds of the settings hold

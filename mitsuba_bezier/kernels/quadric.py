@@ -80,51 +80,48 @@ def group_hit(
 
     first = ty.UInt(g[13])
     last = first + ty.UInt(g[14])
-    zero = dr.zeros(ty.Float)
-    state = (
-        want1 | want2,
-        first,
-        ty.Bool(False),
-        ty.Bool(False),
-        zero,
-        zero,
-        dr.zeros(ty.UInt),
-        zero,
-        zero,
-        dr.zeros(ty.UInt),
-    )
+    none = dr.zeros(ty.UInt)
+    state = (want1 | want2, first, ty.Bool(False), ty.Bool(False), none, none)
 
-    def locate(m: list[Any], p: list[Any]) -> tuple[Any, Any, Any]:
+    def inside(m: list[Any], p: list[Any]) -> Any:
         bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
         total = bary[0] + bary[1] + bary[2]
-        inv = dr.rcp(total)
-        slack = tolerance + ROWS * dr.abs(inv)
-        u, v, w = bary[0] * inv, bary[1] * inv, bary[2] * inv
-        return dr.minimum(dr.minimum(u, v), w) >= -slack, u, v
+        # Compared before a division: near the centre of projection all four are roundings.
+        # Only patches that reach the centre, the lunes, may have a hit there.
+        size = dr.abs(total)
+        signed = [dr.mulsign(b, total) for b in bary]
+        lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
+        return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
 
-    def body(run, k, hit1, hit2, u1, v1, leaf1, u2, v2, leaf2):
+    def body(run, k, hit1, hit2, leaf1, leaf2):
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
-        in1, a1, b1 = locate(m, p1)
-        in2, a2, b2 = locate(m, p2)
-        in1, in2 = in1 & want1 & ~hit1, in2 & want2 & ~hit2
+        in1 = want1 & ~hit1 & inside(m, p1)
+        in2 = want2 & ~hit2 & inside(m, p2)
         hit1, hit2 = hit1 | in1, hit2 | in2
-        u1, v1, leaf1 = dr.select(in1, a1, u1), dr.select(in1, b1, v1), dr.select(in1, leaf, leaf1)
-        u2, v2, leaf2 = dr.select(in2, a2, u2), dr.select(in2, b2, v2), dr.select(in2, leaf, leaf2)
+        leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
         k = k + 1
         run = run & (k < last) & ~hit1 & (want1 | ~hit2)
-        return run, k, hit1, hit2, u1, v1, leaf1, u2, v2, leaf2
+        return run, k, hit1, hit2, leaf1, leaf2
 
-    _run, _k, hit1, hit2, u1, v1, leaf1, u2, v2, leaf2 = dr.while_loop(
+    _run, _k, hit1, hit2, leaf1, leaf2 = dr.while_loop(
         state,
         cond=lambda *st: st[0],
         body=body,
+        labels=("run", "member", "hit1", "hit2", "leaf1", "leaf2"),
         label="bezier group members",
     )
-    return (
-        hit1 | hit2,
-        dr.select(hit1, t1, t2),
-        dr.select(hit1, u1, u2),
-        dr.select(hit1, v1, v2),
-        dr.select(hit1, leaf1, leaf2),
-    )
+    hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
+    along = dr.select(hit1, near, far)
+    u, v = _barycentrics(s, ty, leaf, [dr.fma(along, dd[i], p[i]) for i in range(3)], hit)
+    u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
+    return hit, dr.select(hit1, t1, t2), u, v, leaf
+
+
+def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
+    """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32."""
+    m = gather_packets(s.rows, dr.select(active, leaf - s.first_group, 0), 12, active)
+    bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
+    total = bary[0] + bary[1] + bary[2]
+    inv = dr.rcp(dr.select(total == 0.0, 1.0, total))
+    return ty.Float(bary[0] * inv), ty.Float(bary[1] * inv)

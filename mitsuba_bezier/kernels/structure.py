@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import Leaves
+from ..geometry.leaves import LEAST, Leaves
 from ..geometry.tree import build_tree
 from .arrays import types_of, upload
 
@@ -25,7 +25,7 @@ PROJECTIVE = 24
 HEAD = 8
 #: Float64 in a group: quadric 10, shift 3, first member, number of members.
 GROUP = 16
-#: Floats in a member of a group: three rows of four, leaf number as bits.
+#: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`.
 MEMBER = 16
 #: Floats in a domain record: leaf-to-patch map 9, patch number as bits.
 DOMAIN = 16
@@ -51,6 +51,7 @@ class Structure:
     nets: Any  #: Float32, x (`HEAD` + K * 4), padded to packets of eight
     groups: Any  #: Float64, x `GROUP`
     members: Any  #: Float32, x `MEMBER`
+    rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
     domain: Any  #: Float32, x `DOMAIN`
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
     affine_count: int
@@ -118,11 +119,12 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
         "nets": _nets(leaves, graph),
         "groups": _groups(leaves, exact, group_first, group_size),
         "members": _members(leaves, exact, len(graph)),
+        "rows": np.pad(leaves.frame[exact, :3].reshape(-1, 12), ((0, 0), (0, MEMBER - 12))),
         "domain": _domain(leaves, order),
     }
     return Structure(
         **{
-            name: upload(ty.Float64 if name == "groups" else ty.Float32, _at_least_one(a))
+            name: upload(ty.Float64 if a.dtype == np.float64 else ty.Float32, _at_least_one(a))
             for name, a in arrays.items()
         },
         node_count=dr.opaque(ty.UInt, n_nodes),
@@ -196,6 +198,7 @@ def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
     scale = scale + np.linalg.norm(rows[..., 3], axis=1)
     out[:, :12] = (rows / scale[:, None, None]).reshape(-1, 12)
+    out[:, 13] = leaves.form[exact, LEAST] / scale
     out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
     return out
 
