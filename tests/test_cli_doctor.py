@@ -93,6 +93,19 @@ def test_a_trial_that_fails_aborts_or_hangs(monkeypatch):
         assert doctor._try("llvm_ad_rgb", 2.0) == expected
 
 
+def test_a_trial_chooses_its_llvm_by_itself(monkeypatch):
+    # our own choice, inherited, would look like one of the user's in the child's messages
+    monkeypatch.setattr(
+        doctor, "_TRIAL", "import os, sys; sys.exit(str(os.environ.get(sys.argv[1])))"
+    )
+    name = "DRJIT_LIBLLVM_PATH"
+    monkeypatch.setenv(name, _llvm.find().path)
+    monkeypatch.setattr(_runtime, "_ours", _llvm.find())
+    assert doctor._try(name, 60.0) == "None"
+    monkeypatch.setenv(name, "/usr/lib/libLLVM-of-the-user.so")
+    assert doctor._try(name, 60.0) == "/usr/lib/libLLVM-of-the-user.so"
+
+
 def test_a_scalar_variant_does_not_pass_the_trial():
     assert "cannot run a Dr.Jit kernel" in doctor._try("scalar_rgb", 60.0)
 

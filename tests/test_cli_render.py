@@ -17,6 +17,7 @@ import pytest
 import mitsuba_bezier as mb
 from mitsuba_bezier import _runtime
 from mitsuba_bezier.cli import _images, _passes, main
+from mitsuba_bezier.verification.files import replacing
 
 INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>'
 BEZIER = '<shape type="beziertriangle"><string name="filename" value="{}"/><ref id="gray"/></shape>'
@@ -94,7 +95,7 @@ def test_the_header_tells_how_it_was_made(folder):
     assert found["spp"] == 8 and found["seed"] == 7 and found["passes"] == 1
     assert found["variant"] == "llvm_ad_rgb" and found["integrator"] == "bezierpath"
     assert found["command"] == "mitsuba-bezier render ball.xml -q -o 'a b.exr' --spp 8 --seed 7"
-    assert found["render_seconds"] > 0
+    assert found["rfilter"] == "box" and found["render_seconds"] > 0
     assert found["version_mitsuba_bezier"] == mb.__version__
     assert found["version_mitsuba"] == metadata.version("mitsuba")
     assert found["version_drjit"] == metadata.version("drjit")
@@ -165,13 +166,13 @@ def test_monochrome(folder):
 def test_an_old_file_stays_if_writing_fails(tmp_path):
     path = tmp_path / "a.exr"
     path.write_text("old")
-    with pytest.raises(RuntimeError), _images.atomic(path) as temporary:
+    with pytest.raises(mb.FileFormatError), replacing(path) as temporary:
         assert temporary.parent == tmp_path  # a rename cannot leave the file system
         temporary.write_text("half of a new one")
-        raise RuntimeError
+        raise OSError("disk full")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["a.exr"]
-    with _images.atomic(path) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
     assert os.listdir(tmp_path) == ["a.exr"]

@@ -95,10 +95,10 @@ def run(args: argparse.Namespace) -> int:
     """Render and write the files; return 0."""
     scene_file = Path(args.scene)
     output = Path(args.output) if args.output else scene_file.with_suffix(".exr")
-    from ._images import check_output, write_exr, write_preview
+    from ..verification.images import write_exr
+    from . import _images, _passes, _scene
 
-    check_output(output)
-    from . import _passes, _scene
+    _images.check_output(output)
 
     variant = _set_variant(args.mode)
     import drjit as dr
@@ -134,6 +134,7 @@ def run(args: argparse.Namespace) -> int:
     attributes: dict[str, str | int | float] = {
         "command": shlex.join(args.argv),
         "integrator": loaded.integrator_name,
+        "rfilter": film.rfilter().class_name().removesuffix("Filter").lower(),
         "spp": rendering.spp,
         "passes": len(rendering.passes),
         "seed": args.seed,
@@ -144,16 +145,16 @@ def run(args: argparse.Namespace) -> int:
         "version_drjit": metadata.version("drjit"),
         "version_llvm": ".".join(map(str, _runtime.llvm_version() or ())) or "none",
     }
+    half = "component_format = float16" in str(film)
     write_exr(
         output,
-        rendering.bitmap,
+        _images.channels_of(rendering.bitmap, half),
         attributes,
-        half="component_format = float16" in str(film),
-        size=tuple(film.size()),
-        offset=tuple(film.crop_offset()),
+        (int(film.crop_offset()[0]), int(film.crop_offset()[1])),
+        (int(film.size()[0]), int(film.size()[1])),
     )
     preview = output.with_suffix(".png")
-    shown = write_preview(preview, rendering.bitmap, args.exposure)
+    shown = _images.write_preview(preview, rendering.bitmap, args.exposure)
     say(
         f"mitsuba-bezier: wrote {output}{f' and {preview}' if shown else ' (no colours: no PNG)'}: "
         f"{rendering.spp} spp, seed {args.seed}, {variant}, {seconds:.1f} s"
