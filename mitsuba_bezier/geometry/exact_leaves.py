@@ -211,7 +211,8 @@ def _share(
     leaves: Leaves, part: np.ndarray, flat: np.ndarray, middle: np.ndarray, scale: float
 ) -> None:
     """Write one origin and one quadric to all leaves of a group."""
-    shift = (leaves.box[part, 0].min(axis=0) + leaves.box[part, 1].max(axis=0)) / 2
+    with np.errstate(invalid="ignore"):  # -inf + inf of patches that run to the horizon
+        shift = (leaves.box[part, 0].min(axis=0) + leaves.box[part, 1].max(axis=0)) / 2
     shift = np.where(np.isfinite(shift), shift, leaves.shift[part].mean(axis=0))
     shift = shift.astype(np.float32).astype(np.float64)
     move = np.eye(4)
