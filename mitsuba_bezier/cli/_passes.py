@@ -18,9 +18,9 @@ from ..errors import BezierError
 
 __all__ = ["Rendering", "pass_seed", "plan", "render"]
 
-#: Samples of one pass, by backend: the state of all paths of a pass is in memory at once (some
-#: 100 bytes each), and Ctrl-C and the progress bar answer between passes. Far below the
-#: 2^32 that Mitsuba can number.
+#: Samples of one pass, by backend: the random number generators of a whole pass are in memory at
+#: once, and the progress bar moves between passes; a GPU wants more to be busy. Both are far
+#: below the 2^32 that Mitsuba can number.
 PASS_SAMPLES = {"llvm": 1 << 22, "cuda": 1 << 25}
 MAX_SAMPLES = (1 << 32) - 1
 
