@@ -322,6 +322,14 @@ def test_side_by_side_and_zoom(browser):
     browser.run(f"document.querySelector('{SPOT} button[data-name=\"4×\"]').click()")
     widths = f"[...document.querySelectorAll('{SPOT} .stage')].map(s => s.clientWidth)"
     assert browser.run(widths) == [4 * WIDTH] * 3
+    # what was in the middle stays there
+    offset = (
+        "(f => [f.scrollLeft + f.clientWidth / 2, f.scrollWidth / 2])"
+        f"(document.querySelector('{SPOT} .frame'))"
+    )
+    browser.run(f"document.querySelector('{SPOT} button[data-name=\"8×\"]').click()")
+    middle, half = browser.run(offset)
+    assert abs(middle - half) <= 1
     sharp = f"getComputedStyle(document.querySelector('{SPOT} .stage img')).imageRendering"
     assert browser.run(sharp) == "pixelated"
 
