@@ -121,6 +121,8 @@ def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> 
 
     ray = mi.Ray3f(dr.detach(ray))
     active = mi.Bool(active)
+    if max_depth == 0:  # as `path`: black, not even what is seen directly
+        return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray))
     if hide:
         ray = _skip_emitters(rays, ray, active)
 
