@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from . import bernstein
+from .collapsed import collapsed_edge, fan, strips
 from .leaves import FORM, LeafSettings, Leaves
 from .triangles import BezierTriangles
 
@@ -14,50 +15,59 @@ __all__ = ["subdivide"]
 
 
 def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> Iterator[Leaves]:
-    """Yield the leaves of one chunk of patches, level by level."""
+    """Yield the leaves of one chunk of patches, level by level.
+
+    Parameters
+    ----------
+    nets : (P, K, 4) array
+        Control nets.
+    patch : (P,) array
+        Their numbers.
+    settings : LeafSettings
+        When a leaf is good enough.
+    """
     n = bernstein.degree_of(nets.shape[1])
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
     for depth in range(settings.max_depth + 1):
         leaves, good = _graph_leaves(nets, domain, patch, settings)
-        good |= _below_float32(leaves.box)
-        if depth == settings.max_depth:
-            good = np.ones(len(nets), dtype=bool)
         yield leaves.select(good)
-        rest = ~good
+        last = ~good & (_below_float32(leaves.box) | _over_budget(patch, good))
+        if depth == settings.max_depth:
+            last = ~good
+        if last.any():
+            yield _crumbs(nets[last], domain[last], patch[last], settings)
+        rest = ~good & ~last
         if not rest.any():
             return
         nets, domain, patch = nets[rest], domain[rest], patch[rest]
-        collapsed = _collapsed_edge(nets)
-        turned = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-        parts = []
-        for edge in range(-1, 3):
-            mask = collapsed == edge
-            if not mask.any():
-                continue
-            if edge < 0:
-                corners = bernstein.SPLIT_CORNERS
-            else:  # corner opposite the collapsed edge comes first
-                order = turned[edge]
-                corners = _COLLAPSED_SPLIT[:, :, np.argsort(order)]
-            matrices = (
-                bernstein.split_matrices(n)
-                if edge < 0
-                else np.stack([bernstein.subdivision_matrix(n, c) for c in corners])
-            )
-            new_nets = np.einsum("ekl,plc->pekc", matrices, nets[mask])
-            # rows of `corners` are barycentrics of the new corners: columns of the domain map
-            new_domain = np.einsum("pij,ekj->peik", domain[mask], corners)
-            count = len(corners)
-            parts.append(
-                (
-                    new_nets.reshape(-1, *nets.shape[1:]),
-                    new_domain.reshape(-1, 3, 3),
-                    np.repeat(patch[mask], count),
-                )
-            )
+        corner = collapsed_edge(nets)
+        plain = corner < 0
+        split = np.einsum("ekl,plc->pekc", bernstein.split_matrices(n), nets[plain])
+        # rows of SPLIT_CORNERS are barycentrics of new corners: columns of the domain map
+        inner = np.einsum("pij,ekj->peik", domain[plain], bernstein.SPLIT_CORNERS)
+        parts = [(split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3))]
+        numbers = [np.repeat(patch[plain], 4)]
+        for i in np.flatnonzero(~plain):
+            triangles, end = strips(nets[i], int(corner[i]))
+            matrices = [bernstein.subdivision_matrix(n, t) for t in triangles]
+            inner = domain[i] @ triangles.transpose(0, 2, 1)
+            parts.append((np.stack(matrices) @ nets[i], inner))
+            numbers.append(np.full(len(triangles), patch[i]))
+            if end > 0:
+                caps, inner = fan(nets[i], int(corner[i]), end)
+                if len(caps):
+                    number = np.full(len(caps), patch[i])
+                    yield _graph_leaves(caps, domain[i] @ inner, number, settings)[0]
         nets = np.concatenate([p[0] for p in parts])
         domain = np.concatenate([p[1] for p in parts])
-        patch = np.concatenate([p[2] for p in parts])
+        patch = np.concatenate(numbers)
+
+
+#: Most leaves of one patch that may wait for a further cut. A patch whose parametrisation is
+#: singular along a curve has more at every level; it ends as planar triangles.
+_BUDGET = 3000
+#: Crumbs are drawn out by this, so that chords cover the arcs they replace.
+_OVERLAP = 1.03
 
 
 def _below_float32(box: np.ndarray) -> np.ndarray:
@@ -68,47 +78,48 @@ def _below_float32(box: np.ndarray) -> np.ndarray:
     """
     with np.errstate(invalid="ignore"):
         size = (box[:, 1] - box[:, 0]).max(axis=1)
-        # 1e-6: about ten roundings of the origin
-        return size < 1e-6 * np.abs(box).max(axis=(1, 2))
+        # 3e-6: some fifty roundings of the origin
+        return size < 3e-6 * np.abs(box).max(axis=(1, 2))
 
 
-#: Split of a triangle whose edge BC is collapsed: the tip, the part that keeps corner B as an
-#: ordinary corner, and a half-sized triangle that is collapsed again. Midpoint splits would
-#: double the number of collapsed leaves at every level.
-_COLLAPSED_SPLIT = (
-    np.array(
-        [
-            [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
-            [[1, 1, 0], [0, 2, 0], [1, 0, 1]],
-            [[1, 0, 1], [0, 2, 0], [0, 0, 2]],
-        ],
-        dtype=np.float64,
-    )
-    / 2
-)
+def _over_budget(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Tell which leaves belong to a patch with too many that are not good."""
+    values, index, count = np.unique(patch[~good], return_inverse=True, return_counts=True)
+    out = np.zeros(len(patch), dtype=bool)
+    if len(values):
+        out[~good] = count[index.reshape(-1)] > _BUDGET
+    return out
+
+
+def _crumbs(
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+) -> Leaves:
+    """Return planar leaves in place of those that cannot be made good.
+
+    Each is cut into 16 planar triangles through its own points. At a singular corner they are
+    a millionth of the scene and exact to a hundredth of that; where a patch went over its
+    budget they are what `docs/intersection.md` calls the unguaranteed case.
+    """
+    n = bernstein.degree_of(nets.shape[1])
+    four = np.einsum("aij,bjk->abik", bernstein.SPLIT_CORNERS, bernstein.SPLIT_CORNERS)
+    corners = four.reshape(-1, 3, 3)  # rows: barycentrics of the corners of each triangle
+    points = np.einsum("trk,pkc->ptrc", bernstein.basis(n, corners[..., :2]), nets)
+    points = points.reshape(-1, 3, 4)
+    w = points[..., 3:]
+    finite = ((w > 0).all(axis=1) | (w < 0).all(axis=1))[:, :, None]
+    points = np.where(finite, points / np.where(w == 0, 1.0, w), points)
+    middle = points.mean(axis=1, keepdims=True)
+    points = middle + _OVERLAP * (points - middle)
+    for m in range(1, n):
+        points = bernstein.elevation_matrix(m) @ points
+    inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
+    leaves, good = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
+    return leaves.select(good)  # what is not good has no area, and no ray meets it
 
 
 def _affine(net: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         return net[..., :3] / net[..., 3:]
-
-
-def _collapsed_edge(nets: np.ndarray) -> np.ndarray:
-    """Return the corner opposite a collapsed edge, or -1."""
-    n = bernstein.degree_of(nets.shape[1])
-    ijk = bernstein.multi_indices(n)
-    edges = [nets[:, ijk[:, c] == 0] for c in range(3)]
-    spread = []
-    for e in edges:
-        unit = e / np.maximum(np.linalg.norm(e, axis=-1, keepdims=True), 1e-300)
-        # projective distance to the first control point: zero for equal points of any weight
-        dot = np.abs(np.einsum("pkc,pc->pk", unit, unit[:, 0]))
-        spread.append(np.sqrt(np.maximum(0.0, 1.0 - dot**2)).max(axis=1))
-    s = np.stack(spread, axis=1)
-    corner = s.argmin(axis=1)
-    lowest = s.min(axis=1)
-    # an edge a thousandth as long as the others counts as collapsed
-    return np.where(lowest < 1e-3 * np.sort(s, axis=1)[:, 1], corner, -1)
 
 
 def _normalise_weights(nets: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -195,7 +206,12 @@ def _graph_leaves(
         )
     form = np.zeros((len(nets), FORM))
     form[:, :3], form[:, 7:] = quadratics[:, :3], quadratics[:, 3:]
-    form[:, 3], form[:, 4], form[:, 5], form[:, 6] = remainder, variation, bending, margin
+    form[:, 3], form[:, 4], form[:, 5], form[:, 6] = (
+        remainder,
+        variation,
+        bending,
+        margin,
+    )
     form[~np.isfinite(form).all(axis=1)] = 0.0
     deviation = chart.copy()
     ijk = bernstein.multi_indices(n)
@@ -278,7 +294,11 @@ def _bounds(chart: np.ndarray, margin: np.ndarray, n: int) -> tuple[np.ndarray, 
     remainder = np.abs(z - np.einsum("lsa,la->ls", design, coefficients)).max(axis=1)
     # Hessian of a xy + b x(1-x-y) + c y(1-x-y)
     quad = np.stack(
-        [np.stack([-2 * b, a - b - c], axis=-1), np.stack([a - b - c, -2 * c], axis=-1)], axis=-2
+        [
+            np.stack([-2 * b, a - b - c], axis=-1),
+            np.stack([a - b - c, -2 * c], axis=-1),
+        ],
+        axis=-2,
     )
     variation = np.linalg.norm(hess - quad[:, None], axis=(-2, -1)).max(axis=1)
     bending = 0.5 * np.linalg.norm(hess, axis=(-2, -1)).max(axis=1)

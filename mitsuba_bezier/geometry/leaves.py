@@ -67,7 +67,7 @@ class LeafSettings:
     Parameters
     ----------
     lateral : float
-        Largest ``|J - I|`` of the map from parameters to chart coordinates; below 1/2 it is
+        Largest ``|J - I|`` of the map from parameters to chart coordinates; below 1 it is
         one-to-one and the lateral Newton step contracts.
     remainder : float
         Largest distance of the surface from its quadratic.
@@ -81,9 +81,9 @@ class LeafSettings:
         Whether patches with a linear inverse become exact leaves.
     """
 
-    lateral: float = 0.25
-    remainder: float = 0.02
-    height: float = 0.15
+    lateral: float = 0.5
+    remainder: float = 0.03
+    height: float = 0.25
     weight: float = 0.3
     max_depth: int = 18
     closed_form: bool = True
