@@ -21,27 +21,74 @@ from .errors import (
 
 _runtime.prepare()  # before anything imports Dr.Jit, which looks for LLVM at once
 
-from .geometry.covers import sphere  # noqa: E402
-from .geometry.quadrics import fit_quadric, quadric_patch  # noqa: E402
+from .geometry.camera import Camera  # noqa: E402
+from .geometry.covers import quadric_cover, ruled_cover, sphere  # noqa: E402
+from .geometry.curves import BezierCurve  # noqa: E402
+from .geometry.quadric_patches import characterize  # noqa: E402
+from .geometry.quadric_types import (  # noqa: E402
+    classify_quadric,
+    collineation_to_paraboloid,
+    projective_type,
+)
+from .geometry.quadrics import fit_quadric, fit_quadrics, quadric_patch  # noqa: E402
+from .geometry.shapes import (  # noqa: E402
+    cone,
+    cylinder,
+    disk,
+    ellipsoid,
+    elliptic_paraboloid,
+    half_plane,
+    hyperbolic_paraboloid,
+    hyperboloid_one_sheet,
+    hyperboloid_two_sheets,
+    plane,
+    quarter_plane,
+    torus,
+)
+from .geometry.tensor import tensor_to_triangles  # noqa: E402
 from .geometry.triangles import BezierTriangles  # noqa: E402
+from .geometry.triangulations import triangulated  # noqa: E402
 from .io import load  # noqa: E402
 
 __all__ = [
+    "BezierCurve",
     "BezierError",
     "BezierTriangles",
+    "Camera",
     "FileFormatError",
     "GeometryError",
     "NetError",
     "RuntimeSetupError",
     "VariantError",
     "__version__",
+    "characterize",
+    "classify_quadric",
+    "collineation_to_paraboloid",
+    "cone",
+    "cylinder",
+    "disk",
+    "ellipsoid",
+    "elliptic_paraboloid",
     "fit_quadric",
+    "fit_quadrics",
+    "half_plane",
+    "hyperbolic_paraboloid",
+    "hyperboloid_one_sheet",
+    "hyperboloid_two_sheets",
     "load",
+    "plane",
+    "projective_type",
+    "quadric_cover",
     "quadric_patch",
+    "quarter_plane",
     "ray_intersect",
     "ray_test",
     "register",
+    "ruled_cover",
     "sphere",
+    "tensor_to_triangles",
+    "torus",
+    "triangulated",
 ]
 
 
