@@ -77,7 +77,7 @@ def camera_rays(
 def ball_rays(
     count: int, seed: int = 0, start: float = 2.5, target: float = 1.2
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return float32 rays from a sphere of radius `start` to points of a ball of radius `target`."""
+    """Return float32 rays from a sphere of radius `start` into a ball of radius `target`."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(count, 3))
     a *= start / np.linalg.norm(a, axis=1, keepdims=True)

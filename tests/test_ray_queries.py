@@ -75,7 +75,7 @@ def test_a_million_rays_from_everywhere(sphere):
 
 def test_rays_from_inside(sphere):
     o, d = ball_rays(100_000, seed=2, start=0.95)
-    truth, distance = analytic_sphere(o, d)
+    truth, _ = analytic_sphere(o, d)
     pi = sphere.ray_intersect_preliminary(ray_of(o, d))
     t = numbers(pi.t)
     assert np.isfinite(t).all()  # no ray escapes
