@@ -1,8 +1,9 @@
 """Render a scene in several passes that add up to one image.
 
-The film's raw sums (colour times filter weight, and the weights) are added over the passes and
-divided once at the end, which gives the image of a single long render: averages of finished
-passes would not, since every pass divides by its own weights.
+The developed passes are averaged by the film's filter weights, pixel by pixel, which gives the
+image of a single long render: plain averages would not, since every pass divides by its own
+weights. The sum is exact (`verification.merge`), so the passes may as well be rendered by several
+processes and merged.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ import numpy as np
 
 from .._runtime import import_mitsuba
 from ..errors import BezierError
+from ..verification.merge import Accumulator
+from ._images import channels_of
 
 __all__ = ["Rendering", "pass_seed", "plan", "render"]
 
@@ -27,10 +30,12 @@ MAX_SAMPLES = (1 << 32) - 1
 
 @dataclass(frozen=True)
 class Rendering:
-    """A finished image: Mitsuba's bitmap, and the samples per pixel of each pass."""
+    """A finished image: Mitsuba's bitmap, samples per pixel and seed of each pass, exact sums."""
 
     bitmap: Any
     passes: tuple[int, ...]
+    seeds: tuple[int, ...]
+    sums: dict[str, np.ndarray]
 
     @property
     def spp(self) -> int:
@@ -90,6 +95,7 @@ def render(
     passes: Sequence[int],
     seed: int,
     report: Callable[[int], None],
+    part: tuple[int, int] = (0, 1),
 ) -> Rendering:
     """Render all passes.
 
@@ -104,27 +110,33 @@ def render(
         Seed of the render.
     report : callable
         Called after each pass with its number from 0.
+    part : (int, int)
+        Which part of how many, from 0: passes ``part[0]``, ``part[0] + part[1]``, ...
     """
     mi = import_mitsuba()
     film, sampler = sensor.film(), sensor.sampler()
     # a light tracer's film holds the finished estimate of a pass, without weights
     weighted = not isinstance(integrator, mi.AdjointIntegrator)
-    total: Any = 0.0
-    taken = []
-    for index, spp in enumerate(passes):
+    total = Accumulator()
+    taken, seeds = [], []
+    for index, spp in list(enumerate(passes))[part[0] :: part[1]]:
+        own_seed = pass_seed(seed, index)
         sampler.set_sample_count(spp)
         spp = sampler.sample_count()
-        integrator.render(scene, sensor, seed=pass_seed(seed, index), spp=spp)
-        raw = np.array(film.develop(raw=True), dtype=np.float64)
-        total = total + (raw if weighted else raw * spp)
+        integrator.render(scene, sensor, seed=own_seed, spp=spp)
+        # colours, alpha, weight, layers; first of all, as Dr.Jit lets other threads run while it
+        # waits for this, so that Ctrl-C is answered, but not while it makes a bitmap
+        raw = np.array(film.develop(raw=True))
+        bitmap = film.bitmap()
+        channels, weight = channels_of(bitmap, half=False), None
+        if weighted:
+            layers = len(channels) - film.base_channels_count()
+            weight = raw[..., raw.shape[-1] - layers - 1]
+        total.add(channels, spp, [own_seed], weight)
         taken.append(spp)
+        seeds.append(own_seed)
         report(index)
-    if not weighted:
-        total /= sum(taken)
-    film.clear()
-    film.put_block(
-        mi.ImageBlock(
-            mi.TensorXf(total.astype(np.float32)), offset=film.crop_offset(), border=False
-        )
-    )
-    return Rendering(film.bitmap(), tuple(taken))
+    pixels = np.array(bitmap, copy=False)  # the bitmap's own memory
+    mean = total.mean()
+    pixels[...] = np.stack(list(mean.values()), axis=-1).reshape(pixels.shape)
+    return Rendering(bitmap, tuple(taken), tuple(seeds), total.sums())

@@ -52,6 +52,13 @@ def _define(text: str) -> tuple[str, str]:
     return key, value
 
 
+def _part(text: str) -> tuple[int, int]:
+    number, _, count = text.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, got {text!r}")
+    return int(number) - 1, int(count)
+
+
 def add_parser(subparsers: Any) -> None:
     """Add the parser of this command."""
     parser = subparsers.add_parser(
@@ -84,6 +91,13 @@ def add_parser(subparsers: Any) -> None:
         metavar="N",
         type=_integer(1, MAX_SPP),
         help="size of a pass (by film size)",
+    )
+    add(
+        "--part",
+        metavar="I/N",
+        type=_part,
+        help="render only every N-th pass, from the I-th on, with what 'merge' needs to give "
+        "the whole render to the bit",
     )
     add("--exposure", metavar="EV", type=float, default=0.0, help="stops, for the preview (0)")
     level = parser.add_mutually_exclusive_group()
@@ -120,14 +134,26 @@ def run(args: argparse.Namespace) -> int:
     film = sensor.film()
     spp = args.spp or sensor.sampler().sample_count()
     passes = _passes.plan(_sampled_pixels(film), spp, variant, args.spp_per_pass)
+    first, step = args.part or (0, 1)
+    if step > len(passes):
+        raise BezierError.expected(
+            "--part", f"at most {len(passes)} parts, one a pass (see --spp-per-pass)", step
+        )
 
+    ours = [spp if index % step == first else 0 for index, spp in enumerate(passes)]
     started = time.perf_counter()
     with (
-        _progress(scene_file.name, passes, args.quiet) as (report, stop),
+        _progress(scene_file.name, ours, args.quiet) as (report, stop),
         _stop_at_once(stop, active=args.is_process),
     ):
         rendering = _passes.render(
-            loaded.scene, sensor, loaded.integrator, passes, args.seed, report
+            loaded.scene,
+            sensor,
+            loaded.integrator,
+            passes,
+            args.seed,
+            report,
+            (first, step),
         )
     seconds = time.perf_counter() - started
 
@@ -138,6 +164,7 @@ def run(args: argparse.Namespace) -> int:
         "spp": rendering.spp,
         "passes": len(rendering.passes),
         "seed": args.seed,
+        "seeds": " ".join(map(str, rendering.seeds)),
         "variant": variant,
         "render_seconds": seconds,
         "version_mitsuba_bezier": __version__,
@@ -148,7 +175,7 @@ def run(args: argparse.Namespace) -> int:
     half = "component_format = float16" in str(film)
     write_exr(
         output,
-        _images.channels_of(rendering.bitmap, half),
+        {**_images.channels_of(rendering.bitmap, half), **(rendering.sums if args.part else {})},
         attributes,
         (int(film.crop_offset()[0]), int(film.crop_offset()[1])),
         (int(film.size()[0]), int(film.size()[1])),
