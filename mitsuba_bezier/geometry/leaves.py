@@ -34,6 +34,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from . import bernstein
+
 __all__ = ["FORM", "FORM_ENTRIES", "LEAST", "LeafSettings", "Leaves"]
 
 
@@ -109,7 +111,7 @@ class Leaves:
 
     @staticmethod
     def join(parts: list[Leaves]) -> Leaves:
-        """Concatenate; nets are padded to the highest degree (monomials pad with zeros)."""
+        """Concatenate; nets are padded to the highest degree with zero monomials."""
         top = max(p.net.shape[1] for p in parts)
         out = {}
         first_group = 0
@@ -120,10 +122,7 @@ class Leaves:
                     arrays[i] = np.where(g >= 0, g + first_group, -1)
                     first_group = max(first_group, int(arrays[i].max(initial=-1)) + 1)
             if field.name == "net":
-                arrays = [
-                    np.concatenate([a, np.zeros((len(a), top - a.shape[1], 4))], axis=1)
-                    for a in arrays
-                ]
+                arrays = [_pad(a, top) for a in arrays]
             out[field.name] = np.concatenate(arrays)
         return Leaves(**out)
 
@@ -146,3 +145,14 @@ class Leaves:
             certified=np.zeros(0, dtype=bool),
             group=np.zeros(0, dtype=int),
         )
+
+
+def _pad(net: np.ndarray, count: int) -> np.ndarray:
+    """Return monomial nets ``(L, K, 4)`` with `count` rows; ``u^a v^b`` stays ``u^a v^b``."""
+    if net.shape[1] == count:
+        return net
+    degree = bernstein.degree_of(count)
+    powers = bernstein.multi_indices(bernstein.degree_of(net.shape[1]))[:, :2]
+    out = np.zeros((len(net), count, 4))
+    out[:, [bernstein.row(degree, a, b) for a, b in powers.tolist()]] = net
+    return out
