@@ -36,7 +36,9 @@ from ..errors import GeometryError
 from . import bernstein
 from .bivariate_local import (
     NOISE,
+    adjugate,
     fold_points,
+    hull_distance,
     is_fold,
     least_squares,
     local,
@@ -44,11 +46,21 @@ from .bivariate_local import (
     newton,
 )
 
-__all__ = ["DOUBLE", "NEAR_MISS", "NOISE", "SIMPLE", "UNRESOLVED", "Roots", "common_roots"]
+__all__ = [
+    "DOUBLE",
+    "NEAR_MISS",
+    "NOISE",
+    "SIMPLE",
+    "UNDECIDED",
+    "UNRESOLVED",
+    "Roots",
+    "common_roots",
+]
 
 #: Kinds of candidates: a certified simple root; a double root (two that rounding does not
-#: separate); a root that no certificate isolates; a fold point near which there is no root.
-SIMPLE, DOUBLE, UNRESOLVED, NEAR_MISS = 1, 2, 0, -1
+#: separate); a root that no certificate isolates; a fold point near which there is no root; a
+#: piece left undecided, in which no root was found and none could be excluded.
+SIMPLE, DOUBLE, UNRESOLVED, NEAR_MISS, UNDECIDED = 1, 2, 0, -1, -2
 
 #: Size 2**-26 of a piece: the square root of eps, where folds end in a double root anyway.
 _DEPTH = 26
@@ -66,7 +78,7 @@ class Roots(NamedTuple):
     uv : (R, 2) array
         Barycentric coordinates ``(u, v)``.
     kind : (R,) int array
-        `SIMPLE`, `DOUBLE`, `UNRESOLVED` or `NEAR_MISS`.
+        `SIMPLE`, `DOUBLE`, `UNRESOLVED`, `NEAR_MISS` or `UNDECIDED`.
     """
 
     problem: np.ndarray
@@ -74,18 +86,19 @@ class Roots(NamedTuple):
     kind: np.ndarray
 
 
-def _excluded(g: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    return ((g.min(axis=2) > tolerance) | (g.max(axis=2) < -tolerance)).any(axis=1)
-
-
 class _Search:
-    """The work list of one block of problems."""
+    """The work list of one block of problems.
 
-    def __init__(self, f: np.ndarray, margin: float, band: np.ndarray) -> None:
+    With a `frame` only the rim of that width around the triangle is searched. The triangle is
+    searched on its own: where an edge collapses to a point, the images of pieces that reach
+    across it are bow ties, which the sign test can hardly tell from a root.
+    """
+
+    def __init__(self, f: np.ndarray, band: np.ndarray, frame: float) -> None:
         self.f = f
         self.band = band.copy()
+        self.frame = frame
         self.n = bernstein.degree_of(f.shape[-1], "f")
-        self.margin = margin
         self.found: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def add(self, problem: np.ndarray, x: np.ndarray, kind: int, radius: np.ndarray) -> None:
@@ -97,42 +110,52 @@ class _Search:
         count, _, k = self.f.shape
         # the piece (c, h) has the corners c + h (1, 0), c + h (0, 1), c; h < 0 is a half turn
         q = np.arange(count)
-        c = np.full((count, 2), -self.margin)
-        h = np.full(count, 1.0 + 3.0 * self.margin)
-        corners = (1.0 + 3.0 * self.margin) * np.eye(3) - self.margin
-        f = self.f @ bernstein.subdivision_matrix(self.n, corners).T if self.margin else self.f
+        c = np.full((count, 2), -self.frame)
+        h = np.full(count, 1.0 + 3.0 * self.frame)
+        f = self.f
+        if self.frame:
+            corners = (1.0 + 3.0 * self.frame) * np.eye(3) - self.frame
+            f = f @ bernstein.subdivision_matrix(self.n, corners).T
         regular = np.zeros(count, dtype=bool)
         plain = np.zeros(count, dtype=bool)  # no near miss to be looked for
         for level in range(_DEPTH + 1):
             tolerance = np.where(plain, NOISE, self.band[q])
-            keep = np.flatnonzero(~_excluded(f, tolerance[:, None]))
+            # the axes first: they settle most pieces at little cost
+            far = (f.min(axis=2) > tolerance[:, None]) | (f.max(axis=2) < -tolerance[:, None])
+            keep = np.flatnonzero(~far.any(axis=1))
+            distance = hull_distance(f[keep])
+            near = distance <= tolerance[keep]
+            if self.frame:
+                low = (c[keep] + np.minimum(h[keep], 0.0)[:, None]).min(axis=1)
+                low = np.minimum(low, 1.0 - c[keep].sum(axis=1) - np.maximum(h[keep], 0.0))
+                near &= low < 0.0
+            keep, distance = keep[near], distance[near]
             q, c, h, f, regular, plain = (a[keep] for a in (q, c, h, f, regular, plain))
+            if level >= _COUNTING:
+                # seen from the origin the image is small: a near miss known to a factor of 1.5,
+                # which ends the search at singular points that lie in the band
+                size = np.sqrt((f**2).sum(axis=1).max(axis=1))
+                small = ~plain & (distance > NOISE) & (size <= 1.5 * distance)
+                at = c[small] + h[small, None] / 3
+                self.add(q[small], at, NEAR_MISS, 0.5 * np.abs(h[small]))
+                keep = np.flatnonzero(~small)
+                q, c, h, f, regular, plain = (a[keep] for a in (q, c, h, f, regular, plain))
+                distance = distance[keep]
 
             j = f @ m.center.T  # (M, 2, 2), rows the polynomials
-            adjugate = np.stack(
-                [
-                    np.stack([j[:, 1, 1], -j[:, 0, 1]], axis=1),
-                    np.stack([-j[:, 1, 0], j[:, 0, 0]], axis=1),
-                ],
-                axis=1,
-            )
-            turn = np.concatenate([adjugate, j.transpose(0, 2, 1)], axis=1)
-            g = turn @ f
-            length = np.linalg.norm(turn, axis=2)
-            keep = np.flatnonzero(~_excluded(g, tolerance[keep, None] * length))
-            q, c, h, f, j, regular, plain = (a[keep] for a in (q, c, h, f, j, regular, plain))
-
-            d1 = (f @ m.first.T).reshape(len(q), 2, 2, bernstein.size(self.n - 1))
             det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
             usable = np.abs(det) > 1e-13 * (j**2).sum(axis=(1, 2))
-            inverse = adjugate[keep] / np.where(usable, det, 1.0)[:, None, None]
-            moved = inverse @ d1.reshape(len(q), 2, 2 * bernstein.size(self.n - 1))
-            moved = moved.reshape(d1.shape) - np.eye(2)[:, :, None]
+            d1 = (f @ m.first.T).reshape(len(q), 2, 2, bernstein.size(self.n - 1))
+            moved = adjugate(j) / np.where(usable, det, 1.0)[:, None, None]
+            moved = (moved @ d1.reshape(len(q), 2, 2 * bernstein.size(self.n - 1))).reshape(
+                d1.shape
+            )
+            moved -= np.eye(2)[:, :, None]
             change = np.abs(moved).sum(axis=2).max(axis=(1, 2))
             change[~usable] = np.inf
             regular |= change < 0.95  # below 1 by far more than rounding
             plain |= regular
-            done = regular & _excluded(g[keep, :2], NOISE * length[keep, :2])
+            done = regular & (distance > NOISE)
             todo = np.flatnonzero(regular & ~done)
             done[todo] = self._simple(q[todo], c[todo], h[todo], change[todo])
             if self.n >= 2:
@@ -227,12 +250,15 @@ class _Search:
         root = value <= 10 * NOISE
         if roots:
             self.add(q[root], x[root], UNRESOLVED, radius[root])
-        self.add(q[~root], x[~root], NEAR_MISS, radius[~root])
+        self.add(q[~root], x[~root], UNDECIDED if roots else NEAR_MISS, radius[~root])
 
     def result(self) -> Roots:
         problem, x, kind, radius = (np.concatenate(part) for part in zip(*self.found))
-        near = kind == NEAR_MISS
-        rank = np.where(near, 3, np.where(kind == UNRESOLVED, 2, np.where(kind == SIMPLE, 0, 1)))
+        if self.frame:
+            out = np.minimum(x.min(axis=1), 1.0 - x.sum(axis=1)) < 0.0
+            problem, x, kind, radius = problem[out], x[out], kind[out], radius[out]
+        near = kind < 0
+        rank = np.select([kind == SIMPLE, kind == DOUBLE, kind == UNRESOLVED], [0, 1, 2], 5 + kind)
         order = np.lexsort((rank, problem))
         problem, x, kind, radius, near = (a[order] for a in (problem, x, kind, radius, near))
         drop = np.zeros(len(x), dtype=bool)
@@ -256,7 +282,8 @@ def common_roots(f: Any, scale: Any, *, margin: float = 0.0, band: Any = 0.0) ->
         are sums with cancellation, the sum of the absolute terms). Positive.
     margin : float
         Roots are sought where all barycentric coordinates are at least ``-margin``; some
-        up to a hundredth of the last piece's size further out may be returned.
+        up to a hundredth of the triangle further out may be returned. With a margin, roots
+        just outside the triangle may be returned twice.
     band : float or (Q,) array_like
         Near misses, the fold points where the image of the triangle comes closest to zero,
         are reported when they are at most about `band` away (in units of `f`).
@@ -280,17 +307,21 @@ def common_roots(f: Any, scale: Any, *, margin: float = 0.0, band: Any = 0.0) ->
     if not 0 <= margin <= 1:
         raise GeometryError.expected("margin", "a number from 0 to 1", margin)
     width = np.maximum(np.broadcast_to(band, scale.shape) / scale, NOISE)
-    # pieces of a few megabytes at a time stay in the cache
-    block = max(256, 2**19 // f.shape[2])
     parts = []
+    # some megabytes at a time stay in the cache
+    block = max(256, 2**19 // f.shape[2])
     for start in range(0, len(f), block):
-        stop = start + block
-        search = _Search(f[start:stop] / scale[start:stop, None, None], margin, width[start:stop])
-        search.run()
-        r = search.result() if search.found else None
-        if r is not None:
-            parts.append(Roots(r.problem + start, r.uv, r.kind))
+        at = slice(start, start + block)
+        scaled = f[at] / scale[at, None, None]
+        for frame in [0.0, margin] if margin else [0.0]:
+            search = _Search(scaled, width[at], frame)
+            search.run()
+            if search.found:
+                r = search.result()
+                parts.append(Roots(r.problem + start, r.uv, r.kind))
     if not parts:
         empty = np.zeros(0, dtype=np.int64)
         return Roots(empty, np.zeros((0, 2)), empty)
-    return Roots(*(np.concatenate(column) for column in zip(*parts)))
+    out = Roots(*(np.concatenate(column) for column in zip(*parts)))
+    order = np.argsort(out.problem, kind="stable")
+    return Roots(*(column[order] for column in out))

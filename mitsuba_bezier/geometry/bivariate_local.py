@@ -15,8 +15,10 @@ from . import bernstein
 
 __all__ = [
     "NOISE",
+    "adjugate",
     "evaluate",
     "fold_points",
+    "hull_distance",
     "is_fold",
     "least_squares",
     "local",
@@ -86,6 +88,47 @@ def _solve2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([x, y], axis=1) / det[:, None]
 
 
+def adjugate(a: np.ndarray) -> np.ndarray:
+    """Return the adjugates of 2x2 matrices ``(..., 2, 2)``."""
+    out = np.empty_like(a)
+    out[..., 0, 0], out[..., 0, 1] = a[..., 1, 1], -a[..., 0, 1]
+    out[..., 1, 0], out[..., 1, 1] = -a[..., 1, 0], a[..., 0, 0]
+    return out
+
+
+def hull_distance(f: np.ndarray) -> np.ndarray:
+    """Bound the distance of the origin from the convex hulls of points, from below.
+
+    The sign test for all linear combinations at once: if the points, seen from the origin,
+    fill an angle below a half turn, those with the extreme directions are as far as all
+    others or further on the near side of the angle's bisector.
+
+    Parameters
+    ----------
+    f : (M, 2, K) array
+        `K` points in the plane each.
+
+    Returns
+    -------
+    (M,) array
+        Not positive if the origin may lie in the hull; else at least half the distance for
+        points on one line, less for hulls that come closer between the extreme directions.
+    """
+    mean = f.mean(axis=2)
+    x = f[:, 0] * mean[:, :1] + f[:, 1] * mean[:, 1:]
+    y = f[:, 1] * mean[:, :1] - f[:, 0] * mean[:, 1:]
+    # a rational function that grows with the angle from the mean, from -2 to 2
+    angle = y / np.maximum(np.abs(x) + np.abs(y), 1e-300)
+    angle = np.where(x < 0, np.copysign(2.0, y) - angle, angle)
+    row = np.arange(len(f))
+    bisector = np.zeros_like(mean)
+    for k in (angle.argmin(axis=1), angle.argmax(axis=1)):
+        extreme = f[row, :, k]
+        bisector += extreme / np.maximum(np.linalg.norm(extreme, axis=1), 1e-300)[:, None]
+    bisector /= np.maximum(np.linalg.norm(bisector, axis=1), 1e-300)[:, None]
+    return (f[:, 0] * bisector[:, :1] + f[:, 1] * bisector[:, 1:]).min(axis=1)
+
+
 def _clip(step: np.ndarray, longest: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(step, axis=1)
     return step * np.minimum(1.0, longest / np.maximum(length, 1e-300))[:, None]
@@ -121,19 +164,24 @@ def least_squares(f: np.ndarray, c: np.ndarray, h: np.ndarray) -> tuple[np.ndarr
     damping = np.full(len(x), 1e-3)
     e = evaluate(f, x, 1)
     value = np.linalg.norm(e[..., 0], axis=1)
+    todo = np.arange(len(x))
     for _ in range(60):
-        j = e[..., 1:]
-        normal = np.einsum("mpi,mpj->mij", j, j)
-        trace = normal[:, 0, 0] + normal[:, 1, 1]
-        normal[:, [0, 1], [0, 1]] += (damping * trace + 1e-300)[:, None]
-        step = _solve2(normal, -np.einsum("mpi,mp->mi", j, e[..., 0]))
-        trial = x + _clip(step, np.abs(h))
-        there = evaluate(f, trial, 1)
+        # by singular values: in a narrow valley the normal equations lose what matters
+        u, sigma, vt = np.linalg.svd(e[todo, :, 1:])
+        along = np.einsum("mpi,mp->mi", u, e[todo, :, 0])
+        along *= sigma / (sigma**2 + (damping[todo] * sigma[:, 0] ** 2 + 1e-300)[:, None])
+        step = _clip(-np.einsum("mi,mid->md", along, vt), np.abs(h[todo]))
+        trial = x[todo] + step
+        there = evaluate(f[todo], trial, 1)
         new = np.linalg.norm(there[..., 0], axis=1)
-        better = (new < value) & (local(trial, c, h) >= -1 / 3)
-        x[better], e[better], value[better] = trial[better], there[better], new[better]
-        damping = np.where(better, damping * 0.1, np.minimum(damping * 8.0, 1e8))
-        if not better.any() and damping.min() >= 1e8:
+        better = (new < value[todo]) & (local(trial, c[todo], h[todo]) >= -1 / 3)
+        at = todo[better]
+        x[at], e[at], value[at] = trial[better], there[better], new[better]
+        damping[todo] = np.where(better, damping[todo] * 0.1, damping[todo] * 8.0)
+        # a root, or no step that is worth taking
+        moving = np.linalg.norm(step, axis=1) > 1e-12 * np.abs(h[todo])
+        todo = todo[(new > NOISE) & moving & (damping[todo] < 1e8)]
+        if not len(todo):
             break
     return x, value
 
