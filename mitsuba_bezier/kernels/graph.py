@@ -21,7 +21,7 @@ __all__ = ["ChartLine", "cull", "march"]
 #: leaf's bending, below the rounding of float32.
 LAST_STEP = 3e-4
 #: A march that has not ended after so many steps is given up as a miss.
-MAX_STEPS = 24
+MAX_STEPS = 64
 
 
 @dataclass
