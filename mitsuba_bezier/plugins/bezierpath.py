@@ -143,7 +143,8 @@ def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> 
     def body(st: dict) -> tuple[dict]:
         st = dict(st)
         ray, sampler, active = st["ray"], st["sampler"], st["active"]
-        si = rays.intersect(ray, mi.RayFlags.All, False, active)
+        hit = rays.preliminary(ray, False, active)
+        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, active)
 
         # ---- emission met by the BSDF's sample
         emitter = si.emitter(scene, active)
@@ -154,7 +155,7 @@ def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> 
         emits = active & (emitter != None)  # noqa: E711
         if hide:
             emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
-        pdf = emitters.pdf(prev, ds, si, emits & ~st["prev_delta"])
+        pdf = emitters.pdf(prev, ds, si, hit, emits & ~st["prev_delta"])
         weight = mis_weight(st["prev_pdf"], pdf)
         result = st["result"] + dr.select(
             emits, st["throughput"] * ds.emitter.eval(si, emits) * weight, 0.0

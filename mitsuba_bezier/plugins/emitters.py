@@ -6,11 +6,28 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from ..kernels.arrays import upload
 from .scene import SceneRays
-from .scene_data import is_bezier
+from .surface_sampling import SurfaceSampling
 
-__all__ = ["EmitterSampling"]
+__all__ = ["EmitterSampling", "direction_sample"]
+
+_NONE = 0xFFFFFFFF
+
+
+def direction_sample(ps: Any, ref: Any) -> Any:
+    """Turn a `mi.PositionSample3f` into the direction sample seen from `ref` (by solid angle)."""
+    ds = mi.DirectionSample3f(ps)
+    ds.d = ps.p - ref.p
+    dist2 = dr.squared_norm(ds.d)
+    ds.dist = dr.sqrt(dist2)
+    ds.d = ds.d / ds.dist
+    cosine = dr.abs(dr.dot(ds.d, ds.n))
+    ds.pdf = dr.select(cosine > 0, ps.pdf * dist2 / cosine, 0.0)
+    ds.time = ref.time
+    return ds
 
 
 class EmitterSampling:
@@ -21,18 +38,82 @@ class EmitterSampling:
     """
 
     def __init__(self, rays: SceneRays) -> None:
+        self.rays = rays
         self.scene = rays.scene
-        self.lights = [s for s in self.scene.shapes() if is_bezier(s) and s.is_emitter()]
+        self.surfaces: SurfaceSampling | None = None
+        data = rays.data
+        numbers = [i for i, s in enumerate(data.shapes) if s.is_emitter()] if data else []
+        if not numbers:
+            return
+        assert data is not None
+        self.surfaces = data.surface_sampling(tuple(numbers))
+        emitters = self.scene.emitters()
+        of_emitter = np.full(len(emitters), _NONE, dtype=np.uint32)
+        emitter_of = np.zeros(len(numbers), dtype=np.uint32)
+        for light, number in enumerate(numbers):
+            pointer = data.shapes[number].emitter().ptr
+            index = next(i for i, e in enumerate(emitters) if e.ptr == pointer)
+            of_emitter[index], emitter_of[light] = light, index
+        of_shape = np.full(len(data.shapes), _NONE, dtype=np.uint32)
+        of_shape[numbers] = np.arange(len(numbers))
+        self.of_emitter = upload(mi.UInt32, of_emitter)
+        self.emitter_of = upload(mi.UInt32, emitter_of)
+        self.of_shape = upload(mi.UInt32, of_shape)
+        self.pointers = self.scene.emitters_dr()
 
     def sample(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any]:
         """Return a direction sample and its weight; visibility is not tested."""
-        return self.scene.sample_emitter_direction(si, sample, False, active)
+        if self.surfaces is None:
+            return self.scene.sample_emitter_direction(si, sample, False, active)
+        index, weight, x = self.scene.sample_emitter(sample.x, active)
+        sample = mi.Point2f(x, sample.y)
+        light = dr.gather(mi.UInt32, self.of_emitter, index, active)
+        ours = active & (light != _NONE)
+        emitter = dr.gather(mi.EmitterPtr, self.pointers, index, active)
+        ds, value = emitter.sample_direction(si, sample, active & ~ours)
 
-    def pdf(self, ref: Any, ds: Any, si: Any, active: Any) -> Any:
-        """Return the density of `sample` for a direction that met an emitter at `si`."""
-        if self.lights:
-            mesh = si.is_valid()
-            for light in self.lights:
-                mesh = mesh & (si.shape != mi.ShapePtr(light))
-            active = active & (mesh | ~si.is_valid())
-        return dr.select(active, self.scene.pdf_emitter_direction(ref, ds, active), 0.0)
+        exact = direction_sample(self.surfaces.sample(dr.select(ours, light, 0), sample, ours), si)
+        exact.emitter = emitter
+        there = dr.zeros(mi.SurfaceInteraction3f, dr.width(exact.dist))
+        there.p, there.n, there.uv = exact.p, exact.n, exact.uv
+        there.sh_frame = mi.Frame3f(exact.n)
+        there.wi = there.to_local(-exact.d)
+        there.wavelengths, there.time = si.wavelengths, si.time
+        there.t = exact.dist
+        radiance = emitter.eval(there, ours)
+        ds = dr.select(ours, exact, ds)
+        value = dr.select(ours, dr.select(exact.pdf > 0, radiance * dr.rcp(exact.pdf), 0.0), value)
+        pmf = self.scene.pdf_emitter(index, active)
+        ds.pdf = ds.pdf * pmf
+        return ds, value * weight
+
+    def pdf(self, ref: Any, ds: Any, si: Any, hit: Any, active: Any) -> Any:
+        """Return the density of `sample` for a direction that met an emitter.
+
+        Parameters
+        ----------
+        ref : mi.Interaction3f
+            From where.
+        ds : mi.DirectionSample3f
+            The direction.
+        si : mi.SurfaceInteraction3f
+            What it met.
+        hit : Preliminary
+            The same, with the patch.
+        active : Bool
+        """
+        if self.surfaces is None:
+            return dr.select(active, self.scene.pdf_emitter_direction(ref, ds, active), 0.0)
+        data = self.rays.data
+        assert data is not None
+        number = dr.gather(mi.UInt32, data.patch_shape, hit.patch, active & hit.bezier)
+        light = dr.gather(mi.UInt32, self.of_shape, number, active & hit.bezier)
+        ours = active & hit.bezier & (light != _NONE)
+        light = dr.select(ours, light, 0)
+        theirs = active & ~hit.bezier
+        pdf = dr.select(theirs, self.scene.pdf_emitter_direction(ref, ds, theirs), 0.0)
+        area = self.surfaces.pdf(light, hit.patch, hit.pi.prim_uv, ours)
+        cosine = dr.abs(dr.dot(ds.d, si.n))
+        exact = dr.select(cosine > 0, area * dr.square(ds.dist) / cosine, 0.0)
+        index = dr.gather(mi.UInt32, self.emitter_of, light, ours)
+        return dr.select(ours, exact * self.scene.pdf_emitter(index, ours), pdf)

@@ -17,6 +17,7 @@ from ..kernels.arrays import types_of, upload
 from ..kernels.patch import affine_partials, evaluate, pack
 from ..kernels.structure import build_structure
 from ..kernels.traverse import intersect
+from .surface_sampling import SurfaceSampling
 
 __all__ = ["Preliminary", "SceneData", "data_for_scene", "data_for_shapes"]
 
@@ -45,6 +46,7 @@ class SceneData:
 
     def __init__(self, shapes: list[Any], indices: list[int], scene: Any = None) -> None:
         self.shapes = shapes
+        self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
         self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
         parts, patch_shape, patch_first = [], [], []
         first = 0
@@ -121,18 +123,8 @@ class SceneData:
         ours = hit.bezier & mi.Bool(active)
         pi = hit.pi
         u, v = pi.prim_uv.x, pi.prim_uv.y
-        p, pu, pv = self._partials(hit.patch, u, v, ours)
-        n = dr.cross(pu, pv)
-        # collapsed edges and corners: the limit from inside
-        flat = ours & ~(dr.squared_norm(n) > 1e-10 * dr.squared_norm(pu) * dr.squared_norm(pv))
-        n = dr.if_stmt(
-            args=(n, hit.patch, u, v, flat),
-            cond=flat,
-            true_fn=lambda n, patch, u, v, flat: self._limit_normal(n, patch, u, v, flat),
-            false_fn=lambda n, patch, u, v, flat: n,
-        )
-        number = dr.gather(mi.UInt32, self.patch_shape, hit.patch, ours)
-        n = dr.normalize(n) * dr.gather(mi.Float, self.orientation, number, ours)
+        p, pu, pv, n = self._geometry(hit.patch, u, v, ours)
+        n = dr.normalize(n)
 
         si = dr.zeros(mi.SurfaceInteraction3f, dr.width(pi.t))
         si.t = dr.select(ours, pi.t, dr.inf)
@@ -149,6 +141,32 @@ class SceneData:
         si.initialize_sh_frame()
         si.wi = dr.select(ours, si.to_local(-ray.d), -ray.d)
         return si
+
+    def _geometry(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Return point, partials, and the normal (not of unit length, flipped as the shape is)."""
+        p, pu, pv = self._partials(patch, u, v, active)
+        n = dr.cross(pu, pv)
+        # collapsed edges and corners: the limit from inside
+        flat = active & ~(dr.squared_norm(n) > 1e-10 * dr.squared_norm(pu) * dr.squared_norm(pv))
+        n = dr.if_stmt(
+            args=(n, patch, u, v, flat),
+            cond=flat,
+            true_fn=lambda n, patch, u, v, flat: self._limit_normal(n, patch, u, v, flat),
+            false_fn=lambda n, patch, u, v, flat: n,
+        )
+        number = dr.gather(mi.UInt32, self.patch_shape, patch, active)
+        return p, pu, pv, n * dr.gather(mi.Float, self.orientation, number, active)
+
+    def point_and_normal(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return the point, the unit normal and ``|dp_du x dp_dv|`` at parameters of a patch."""
+        p, pu, pv, n = self._geometry(patch, u, v, active)
+        return p, mi.Normal3f(dr.normalize(n)), dr.norm(dr.cross(pu, pv))
+
+    def surface_sampling(self, numbers: tuple[int, ...]) -> SurfaceSampling:
+        """Return the sampling of these shapes, made at its first use."""
+        if numbers not in self._sampling:
+            self._sampling[numbers] = SurfaceSampling(self, list(numbers))
+        return self._sampling[numbers]
 
     def _partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         value = evaluate(self.nets, self.degree, patch, u, v, active)
