@@ -308,3 +308,12 @@ def test_defaults():
 def test_bad_parameters(parameters, message):
     with pytest.raises(RuntimeError, match=message):
         bezierpath(**parameters)
+
+
+def test_weights_of_densities_whose_squares_overflow() -> None:
+    # in the plane of a light its density comes near 1e20; such paths made NaN pixels
+    from mitsuba_bezier.plugins.bezierpath import mis_weight
+
+    a, b = mi.Float([1e20, 1.0, 1e20, 3.0, 0.0]), mi.Float([1.0, 1e20, 1e20, 4.0, 1.0])
+    # 1e-6: a few roundings of float32
+    np.testing.assert_allclose(mis_weight(a, b), [1, 0, 0.5, 9 / 25, 0], atol=1e-6)

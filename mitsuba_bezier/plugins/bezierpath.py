@@ -87,9 +87,13 @@ def make_path_class() -> type:
 
 
 def mis_weight(pdf_a: Any, pdf_b: Any) -> Any:
-    """Return the weight of strategy a under the power heuristic."""
-    a2 = dr.square(pdf_a)
-    return dr.detach(dr.select(pdf_a > 0, a2 / dr.fma(pdf_b, pdf_b, a2), 0), True)
+    """Return the weight of strategy a under the power heuristic.
+
+    By the ratio of the densities: in the plane of a light its density comes near 1e20, whose
+    square is infinite.
+    """
+    usable = (pdf_a > 0) & (pdf_a < dr.inf)
+    return dr.detach(dr.select(usable, dr.rcp(1 + dr.square(pdf_b / pdf_a)), 0), True)
 
 
 def _skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
