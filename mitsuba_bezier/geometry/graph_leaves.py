@@ -65,7 +65,7 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
 
 #: Most leaves of one patch that may wait for a further cut. A patch whose parametrisation is
 #: singular along a curve has more at every level; it ends as planar triangles.
-_BUDGET = 3000
+_BUDGET = 20000
 #: Crumbs are drawn out by this, so that chords cover the arcs they replace.
 _OVERLAP = 1.03
 
@@ -179,10 +179,26 @@ def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, n
     return shift, rounded
 
 
+#: Leaves examined at a time: bounds the memory, not the result.
+_CHUNK = 4096
+
+
 def _graph_leaves(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
 ) -> tuple[Leaves, np.ndarray]:
     """Fit a chart to each net and tell which are good leaves."""
+    parts = [
+        _fit_charts(nets[c], domain[c], patch[c], settings)
+        for c in (slice(i, i + _CHUNK) for i in range(0, max(len(nets), 1), _CHUNK))
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return Leaves.join([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+
+def _fit_charts(
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+) -> tuple[Leaves, np.ndarray]:
     n = bernstein.degree_of(nets.shape[1])
     nets, moebius, finite = _normalise_weights(nets, n)
     shift, frame = _charts(nets, finite, n)
@@ -238,20 +254,39 @@ def _graph_leaves(
 _SAFETY = 1.25
 
 
+#: The enlarged triangles on which bounds are sampled, by the largest margin they serve.
+_MARGINS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3)
+
+
 def _bounds(chart: np.ndarray, margin: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
-    """Sample the bounds of the module's docstring on the enlarged triangle."""
+    """Sample the bounds of the module's docstring on the enlarged triangle.
+
+    The triangle is one of a few sizes, so that all leaves of a size share their basis.
+    """
+    size = np.searchsorted(_MARGINS, np.nan_to_num(margin, nan=np.inf))
+    size = np.minimum(size, len(_MARGINS) - 1)
+    order = np.argsort(size, kind="stable")
+    parts = [
+        _bounds_of_size(chart[rows], _MARGINS[size[rows[0]]], n)
+        for rows in np.split(order, np.flatnonzero(np.diff(size[order])) + 1)
+    ]
+    inverse = np.empty_like(order)
+    inverse[order] = np.arange(len(order))
+    return tuple(np.concatenate(column)[inverse] for column in zip(*parts))
+
+
+def _bounds_of_size(chart: np.ndarray, margin: float, n: int) -> tuple[np.ndarray, ...]:
     lattice = bernstein.multi_indices(5)[:, :2] / 5.0
-    grow = 1.0 + 6.0 * np.minimum(margin, 0.3)[:, None, None]
-    uv = 1 / 3 + (lattice[None] - 1 / 3) * grow
+    # twice the margin on each of three sides
+    uv = 1 / 3 + (lattice - 1 / 3) * (1.0 + 6.0 * margin)
     du, dv = bernstein.partials_matrices(n)
     b0, b1 = bernstein.basis(n, uv), bernstein.basis(n - 1, uv)
     value = b0 @ chart
-    net_u, net_v = du @ chart, dv @ chart
-    hu, hv = b1 @ net_u, b1 @ net_v
+    hu, hv = (b1 @ du) @ chart, (b1 @ dv) @ chart
     if n >= 2:
         du1, dv1 = bernstein.partials_matrices(n - 1)
         b2 = bernstein.basis(n - 2, uv)
-        huu, huv, hvv = b2 @ (du1 @ net_u), b2 @ (du1 @ net_v), b2 @ (dv1 @ net_v)
+        huu, huv, hvv = (b2 @ m @ chart for m in (du1 @ du, du1 @ dv, dv1 @ dv))
     else:
         huu = huv = hvv = np.zeros_like(value)
     inv = 1.0 / value[..., 3:]
@@ -285,7 +320,9 @@ def _bounds(chart: np.ndarray, margin: np.ndarray, n: int) -> tuple[np.ndarray, 
     design = np.stack([x * y, x * rest, y * rest], axis=-1)
     usable = np.isfinite(design).all(axis=(1, 2)) & np.isfinite(z).all(axis=1)
     design = np.where(usable[:, None, None], design, 0.0)
-    gram = np.einsum("lsa,lsb->lab", design, design) + 1e-12 * np.eye(3)
+    gram = np.einsum("lsa,lsb->lab", design, design)
+    # the ridge keeps the fit of hopeless leaves, which are cut anyway, from being singular
+    gram += (1e-12 * (1.0 + np.trace(gram, axis1=1, axis2=2)))[:, None, None] * np.eye(3)
     targets = np.stack([z, uv[..., 0] - x, uv[..., 1] - y], axis=-1)
     targets = np.where(usable[:, None, None], targets, 0.0)
     fitted = np.linalg.solve(gram, np.einsum("lsa,lst->lat", design, targets))
