@@ -87,7 +87,7 @@ class LeafSettings:
     remainder: float = 0.03
     height: float = 0.25
     weight: float = 0.3
-    max_depth: int = 18
+    max_depth: int = 15
     closed_form: bool = True
 
 
