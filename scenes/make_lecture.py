@@ -7,14 +7,19 @@ threads, drawn lines) are written as control points of Mitsuba's ``bsplinecurve`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import duerer_machine
 import numpy as np
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import plane_shapes
+from mitsuba_bezier.geometry import plane_shapes, shapes
 from mitsuba_bezier.geometry.curves import BezierCurve
+from mitsuba_bezier.geometry.developable import DevelopableSurface
+from mitsuba_bezier.geometry.duality import dual_form
+from mitsuba_bezier.geometry.quadric_types import collineation_to_paraboloid
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 
 __all__ = [
@@ -93,7 +98,7 @@ def prism(section: Any, start: float) -> BezierTriangles:
     p = np.asarray(section, dtype=np.float64)
     ends = np.column_stack([p[:, 0], np.full(len(p), start), p[:, 1], np.ones(len(p))])
     ideal = np.array([*TRACK, 0.0])
-    return BezierTriangles([[ideal, a, b] for a, b in zip(ends[:-1], ends[1:])])
+    return BezierTriangles([[ideal, a, b] for a, b in pairwise(ends)])
 
 
 def tube(curve: Callable[[np.ndarray], np.ndarray], count: int, radius: float) -> np.ndarray:
@@ -147,8 +152,10 @@ def railroad() -> dict[str, BezierTriangles]:
     x = -6.0
     size = np.array([0.11, 0.11, 0])
     feet = np.column_stack([np.full(len(posts_y), x), posts_y, np.zeros(len(posts_y))])
-    posts = boxes(feet - size, feet + size + [0, 0, 6.3], ("+z", "-y", "-x", "+x"))
-    arms = boxes(feet + [-0.9, -0.08, 5.6], feet + [0.9, 0.08, 5.8], ("+z", "-z", "-y", "-x", "+x"))
+    posts = boxes(feet - size, feet + size + (0, 0, 6.3), ("+z", "-y", "-x", "+x"))
+    arms = boxes(
+        feet - (0.9, 0.08, -5.6), feet - (-0.9, -0.08, -5.8), ("+z", "-z", "-y", "-x", "+x")
+    )
     wires = [
         prism([(x + a, 5.83), (x + a - 0.015, 5.845), (x + a, 5.86), (x + a + 0.015, 5.845),
                (x + a, 5.83)], behind)
@@ -190,6 +197,174 @@ def figure2_arcs() -> list[BezierCurve]:
     return [BezierCurve(net[list(e)]) for net in nets for e in ((0, 1, 3), (3, 4, 5), (5, 2, 0))]
 
 
+# ---------------------------------------------------------------------- one paraboloid
+
+
+class Member(NamedTuple):
+    """A quadric of the picture: its type, the patches before, and the collineation."""
+
+    name: str
+    base: BezierTriangles
+    matrix: np.ndarray
+
+
+def perspective(*plane: float) -> np.ndarray:
+    """Return the collineation that keeps x, y, z and takes ``w`` to ``plane . (x, y, z, w)``.
+
+    The given plane goes to infinity.
+    """
+    matrix = np.eye(4)
+    matrix[3] = plane
+    return matrix
+
+
+def over_rectangle(A: Any, a: float, b: float) -> BezierTriangles:
+    """Return the part with ``|x| <= a``, ``|y| <= b`` of a paraboloid along z, two patches."""
+    corners = [[-a, -b, 0, 1], [a, -b, 0, 1], [a, b, 0, 1], [-a, b, 0, 1]]
+    triples = ((0, 1, 2), (0, 2, 3))
+    return BezierTriangles(
+        [mb.quadric_patch(A, [0, 0, 1, 0], [corners[k] for k in t]) for t in triples]
+    )
+
+
+def paraboloids() -> list[Member]:
+    """Return the quadrics of the picture, made from three surfaces.
+
+    The ovals come from the cap ``z = x^2 + y^2``, the cones and cylinders from the parabolic
+    cylinder ``z = x^2``. The ruled ones are seen the other way round: from the collineation
+    that takes the hyperboloid to ``z = x^2 - y^2``.
+    """
+    cap = shapes.elliptic_paraboloid((0, 0, 0), (2, 2), 4)
+    # what the plane at infinity was becomes the plane 1 + s z = 0: it misses, touches or cuts
+    ovals = [
+        Member(name, cap, perspective(0, 0, s, 1))
+        for name, s in (
+            ("hyperboloid of two sheets", -0.16),
+            ("elliptic paraboloid", 0.0),
+            ("ellipsoid", 1.1),
+        )
+    ]
+    to_saddle = collineation_to_paraboloid(np.diag([1.0, 1.0, -1.0, -1.0]))
+    saddle = over_rectangle(to_saddle.paraboloid, 1.3, 0.62)
+    ruled = [
+        Member("hyperbolic paraboloid", saddle, np.eye(4)),
+        Member("hyperboloid of one sheet", saddle, to_saddle.inverse),
+    ]
+    bowl = np.diag([1.0, 0, 0, 0])
+    bowl[2, 3] = bowl[3, 2] = -0.5
+    gutter = over_rectangle(bowl, 1.4, 1.0)
+    cones = [
+        Member(name, gutter, perspective(*plane))
+        for name, plane in (
+            ("hyperbolic cylinder", (0, 0, -0.32, 1)),
+            ("parabolic cylinder", (0, 0, 0, 1)),
+            ("elliptic cylinder", (0, 0, 1.3, 1)),
+            ("cone", (0, 0.55, 0, 1)),
+        )
+    ]
+    return ovals + ruled + cones
+
+
+def shown(member: Member) -> tuple[BezierTriangles, np.ndarray]:
+    """Return the patches as they stand in the picture, and the whole map from their base.
+
+    After the collineation a member is turned, scaled to its place, and set on the plane z = 0.
+    """
+    turn = np.eye(4)
+    if "cylinder" in member.name or member.name == "cone":
+        turn[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # upright, open to the front
+    elif member.name == "hyperboloid of one sheet":
+        turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # the waist to the front
+    matrix = turn @ member.matrix
+    box = member.base.transform(matrix).split().split().bounds()
+    lo, hi = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
+    scale = min(1.4 / (hi[2] - lo[2]), 1.6 / (hi[0] - lo[0]))
+    place = np.diag([scale, scale, scale, 1.0])
+    place[:3, 3] = -scale * np.array([(lo[0] + hi[0]) / 2, (lo[1] + hi[1]) / 2, lo[2]])
+    return member.base.transform(place @ matrix), place @ matrix
+
+
+# ---------------------------------------------------------------------- weights and infinity
+
+#: The weight of the control point in the middle of the front edge, from left to right.
+WEIGHTS = (6.0, 1.0, 0.25, 0.0, -0.45, -1.2)
+#: Distance of the copies in the picture.
+WEIGHTS_STEP = 2.35
+_WEIGHT_POINTS = np.array(
+    [[-1, 0, 0], [0, 0, 1.5], [-0.5, 0.6, 0.9], [1, 0, 0], [0.5, 0.6, 0.9], [0, 1.2, 0.1]]
+)
+
+
+def weighted_net(weight: float) -> np.ndarray:
+    """Return the net ``(6, 4)`` whose control point b_110 has this weight; the others have 1."""
+    w = np.array([1.0, weight, 1, 1, 1, 1])
+    return np.column_stack([w[:, None] * _WEIGHT_POINTS, w])
+
+
+def weights() -> dict[str, BezierTriangles]:
+    """Return one patch for each weight, side by side."""
+    out = {}
+    for k, weight in enumerate(WEIGHTS):
+        move = np.eye(4)
+        move[0, 3] = (k - (len(WEIGHTS) - 1) / 2) * WEIGHTS_STEP
+        out[f"{k}"] = BezierTriangles(weighted_net(weight)).transform(move)
+    return out
+
+
+def weights_tubes() -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the legs of the control nets, and the edges u + v = 1 where they are finite."""
+    legs, edges = [], []
+    # rows of the control points at the ends of the legs
+    pairs = ((0, 1), (0, 2), (1, 2), (1, 3), (1, 4), (3, 4), (2, 4), (2, 5), (4, 5))
+    for patch, weight in zip(weights().values(), WEIGHTS):
+        x = _WEIGHT_POINTS + patch.control_points[0, 0, :3] - _WEIGHT_POINTS[0]
+        legs += [segment(x[a], x[b], 0.012) for a, b in pairs]
+        if weight > -1:
+            arc = BezierCurve(patch.control_points[0, [0, 1, 3]])
+            edges.append(tube(arc.points, 32, 0.025))
+    return legs, edges
+
+
+# ---------------------------------------------------------------------- developable
+
+#: The curve of regression, a cubic that climbs as it turns.
+REGRESSION = BezierCurve.from_points(
+    [[0.35, 0, 0], [0.45, 0.6, 0.35], [-0.45, 0.6, 0.7], [-0.35, 0, 1.05]]
+)
+#: The planes between which the ribbon is cut.
+RIBBON_PLANES = ((0.0, 0.2, 1, -1.3), (0.0, 0.2, 1, -1.75))
+
+
+def ribbon() -> DevelopableSurface:
+    """Return the developable of the planes that osculate the curve of regression."""
+    return DevelopableSurface(dual_form(REGRESSION).control_elements)
+
+
+def ribbon_rulings(count: int = 13) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return pairs: a point of the curve of regression, and where its tangent leaves the ribbon."""
+    t = np.linspace(0, 1, count)
+    upper = ribbon().trace(RIBBON_PLANES[1])
+    return list(zip(REGRESSION.points(t), upper.points(t)))
+
+
+# ---------------------------------------------------------------------- Dürer's machine
+
+
+def frame() -> BezierTriangles:
+    """Return the frame around the opening |y| < 0.72, 0.06 < z < 1.16 of the plane x = 0."""
+    lower = [(-0.03, -0.8, 0.0), (-0.03, -0.8, 1.16), (-0.03, -0.8, 0.06), (-0.03, 0.72, 0.06)]
+    upper = [(0.03, 0.8, 0.06), (0.03, 0.8, 1.24), (0.03, -0.72, 1.16), (0.03, 0.8, 1.16)]
+    return boxes(lower, upper)
+
+
+def table() -> BezierTriangles:
+    """Return the table, its top in z = 0, and its legs."""
+    legs = np.array([(x, y, -0.9) for x in (-1.75, 0.35) for y in (-0.9, 0.78)])
+    lower = np.concatenate([[(-1.9, -1.0, -0.08)], legs])
+    upper = np.concatenate([[(0.6, 1.0, 0.0)], legs - (-0.12, -0.12, -0.82)])
+    return boxes(lower, upper)
+
+
 # ---------------------------------------------------------------------- files
 
 
@@ -201,7 +376,14 @@ def write_tubes(name: str, tubes: Iterable[np.ndarray]) -> None:
 
 def models() -> dict[str, dict[str, BezierTriangles]]:
     """Return the patches of all scenes: ``models()[scene][part]``."""
-    return {"railroad": railroad(), "figure2": figure2()}
+    return {
+        "railroad": railroad(),
+        "figure2": figure2(),
+        "paraboloids": {m.name.replace(" ", "_"): shown(m)[0] for m in paraboloids()},
+        "weights": weights(),
+        "duerer": duerer_machine.lute() | {"frame": frame(), "table": table()},
+        "developable": {"ribbon": ribbon().patch(*RIBBON_PLANES)},
+    }
 
 
 def main() -> None:
@@ -210,6 +392,15 @@ def main() -> None:
     for scene, parts in models().items():
         for name, patches in parts.items():
             patches.save(FOLDER / f"{scene}_{name}.vtu")
+    legs, edges = weights_tubes()
+    write_tubes("weights_net", legs)
+    write_tubes("weights_edges", edges)
+    write_tubes("developable_regression", [tube(REGRESSION.points, 48, 0.022)])
+    write_tubes("developable_rulings", (segment(p, q, 0.007) for p, q in ribbon_rulings()))
+    write_tubes("duerer_threads", (segment(a, b, 0.004) for a, b in duerer_machine.threads()))
+    write_tubes("duerer_strings", (segment(a, b, 0.0025) for a, b in duerer_machine.strings()))
+    drawing = duerer_machine.drawn_curves().values()
+    write_tubes("duerer_drawing", (tube(c.points, 24, 0.005) for c in drawing))
     write_tubes("figure2_conics", (tube(c.points, 24, 0.016) for c in figure2_arcs()))
 
 

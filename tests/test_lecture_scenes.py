@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 
 import mitsuba_bezier as mb
+from mitsuba_bezier.geometry.collineations import homology
+from mitsuba_bezier.geometry.developable import gaussian_curvature
 from mitsuba_bezier.geometry.projective import affine, is_ideal, meet
+from mitsuba_bezier.geometry.quadric_types import classify_quadric
 
 mi.set_variant("llvm_ad_rgb")
 
 from lecture_cases import SCENES, edge_between, make_lecture, shot  # noqa: E402
+from mitsuba_cases import tensor  # noqa: E402
 
 
 @pytest.fixture(autouse=True)
@@ -167,3 +171,305 @@ def test_drawn_conics_are_the_boundaries_of_the_patches():
         # the quasi-interpolant errs by (h^4 / 36) p'''' or so: 1e-5 of a 24th of an arc
         np.testing.assert_allclose(knots, arc.points(t), rtol=0, atol=2e-5)
         assert np.allclose(np.linalg.norm(arc.points(t), axis=1), 1)
+
+
+# ---------------------------------------------------------------------- Dürer's machine
+
+
+def machine():
+    """Return the module with the lute, which `make_lecture` imports."""
+    return make_lecture().duerer_machine
+
+
+def test_drawing_is_the_projection_of_the_outline():
+    """The drawn curves lie in the picture plane, on the lines from the eye to the lute."""
+    camera = shot("duerer", 1).camera
+    # the sensor has its eye and its map in float32
+    np.testing.assert_allclose(camera.center, machine().EYE, rtol=0, atol=1e-6)
+    t = np.linspace(0, 1, 41)
+    drawn, outline = machine().drawn_curves(), machine().outline()
+    for name, curve in drawn.items():
+        x, p = curve.points(t), outline[name].points(t)
+        np.testing.assert_allclose(x @ machine().PICTURE[:3], 0, atol=1e-14)
+        # the same t, by the theorem on projected control points; 1e-4 px: float32 camera
+        np.testing.assert_allclose(camera.pixels(x), camera.pixels(p), rtol=0, atol=1e-4)
+
+
+def test_drawn_tubes_follow_the_drawing():
+    values = np.loadtxt(SCENES / "models" / "duerer_drawing.txt")
+    drawn = machine().drawn_curves().values()
+    for curve, net in zip(drawn, values[:, :3].reshape(len(drawn), -1, 3)):
+        knots = (net[:-2] + 4 * net[1:-1] + net[2:]) / 6
+        # fourth power of the spacing, see `tube`; a pixel is 0.003 wide there
+        expected = curve.points(np.linspace(0, 1, len(knots)))
+        np.testing.assert_allclose(knots, expected, rtol=0, atol=1e-5)
+
+
+def test_drawing_covers_the_lute_as_the_eye_sees_it():
+    """Exact rays behind the picture plane find the soundboard's edge where the drawing is."""
+    # past the frame, the drawing and most of the threads
+    s = shot("duerer", 1).behind(machine().PICTURE + np.array([0, 0, 0, 0.1]))
+    t = np.linspace(0.03, 0.97, 25)
+    for kinds, of in (
+        (("rim", "side"), ("board", "rose", "bridge", "neck", "strings")),
+        (("rose",), ("rose", "strings")),
+    ):
+        curves = [c for name, c in machine().drawn_curves().items() if name.startswith(kinds)]
+        x = s.camera.pixels(np.concatenate([c.points(t) for c in curves]))
+        step = s.camera.pixels(np.concatenate([c.points(t + 1e-4) for c in curves])) - x
+        normal = np.column_stack([-step[:, 1], step[:, 0]])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        a, b = x + 2 * normal, x - 2 * normal
+        in_a, in_b = s.sees(a, *of), s.sees(b, *of)
+        clear = in_a != in_b
+        # the neck, the strings and the ends of threads hide some of it
+        assert clear.mean() > 0.85
+        a, b = np.where(in_a[:, None], a, b)[clear], np.where(in_a[:, None], b, a)[clear]
+        edge = edge_between(lambda p, of=of: s.sees(p, *of), a, b)
+        off = np.abs(((edge - x[clear]) * normal[clear]).sum(axis=1))
+        # float32 rays and the bisection leave 1e-4 px; hidden points find another edge
+        assert np.quantile(off, 0.9) < 2e-3
+
+
+def test_threads_pierce_the_drawing():
+    drawn = np.concatenate(
+        [c.points(np.linspace(0, 1, 2001)) for c in machine().drawn_curves().values()]
+    )
+    for eye, p in machine().threads():
+        s = eye[0] / (eye[0] - p[0])
+        pierced = eye + s * (p - eye)
+        # 2000 points a curve: at most 3e-4 apart
+        assert np.linalg.norm(drawn - pierced, axis=1).min() < 5e-4
+
+
+# ---------------------------------------------------------------------- one paraboloid
+
+
+def members():
+    return {m.name: m for m in make_lecture().paraboloids()}
+
+
+def test_collineations_of_a_paraboloid_have_the_named_types():
+    module = make_lecture()
+    assert len(members()) == 9
+    for name, member in members().items():
+        patches, matrix = module.shown(member)
+        assert patches == member.base.transform(matrix)
+        for net, before in zip(patches.control_points, member.base.control_points):
+            a, b = mb.fit_quadric(net), mb.fit_quadric(before)
+            assert classify_quadric(b) in (
+                "elliptic paraboloid",
+                "hyperbolic paraboloid",
+                "parabolic cylinder",
+            )
+            assert classify_quadric(a) == name
+            moved = np.linalg.inv(matrix).T @ b @ np.linalg.inv(matrix)
+            moved *= (moved * a).sum() / (moved * moved).sum()
+            # rounding of a fit, times the condition of the collineation (some 1e2)
+            np.testing.assert_allclose(moved, a, rtol=0, atol=1e-9 * np.abs(a).max())
+
+
+def hits_of(s, ids, spacing):
+    """Return points ``(N, 3)``, parameters and patches of the hits on each of these shapes."""
+    w, h = s.camera.film_size
+    x, y = np.meshgrid(np.arange(0.5, w, spacing), np.arange(0.5, h, spacing))
+    seen, si = s.look(np.column_stack([x.ravel(), y.ravel()]))
+    p, uv, n = (np.array(v, dtype=np.float64).T for v in (si.p, si.uv, si.n))
+    prim = np.array(si.prim_index).astype(int)
+    out = {}
+    for name in ids:
+        on = seen == s.ids.index(name)
+        out[name] = (p[on], uv[on], prim[on], n[on])
+    return out
+
+
+def test_rays_meet_the_transformed_quadrics():
+    s = shot("paraboloids")
+    module = make_lecture()
+    names = {m.name.replace(" ", "_"): m for m in members().values()}
+    for name, (p, uv, prim, _n) in hits_of(s, names, 4).items():
+        assert len(p) > 40, name
+        _patches, matrix = module.shown(names[name])
+        shape = s.scene.shapes()[s.ids.index(name)]
+        world = shape.patches
+        # hits are where the parameters say: float32 at a distance of ten
+        np.testing.assert_allclose(world.points(prim, uv), p, rtol=0, atol=3e-5)
+        # and come from the paraboloid with the same parameters
+        to_world = np.array(shape.to_world.matrix, dtype=np.float64).reshape(4, 4)
+        x = names[name].base.evaluate(prim, uv) @ (to_world @ matrix).T
+        np.testing.assert_allclose(x[:, :3] / x[:, 3:], p, rtol=0, atol=3e-5)
+        a = mb.fit_quadric(world.control_points[0])
+        value = np.einsum("ni,ij,nj->n", np.c_[p, np.ones(len(p))], a, np.c_[p, np.ones(len(p))])
+        gradient = 2 * np.linalg.norm((np.c_[p, np.ones(len(p))] @ a)[:, :3], axis=1)
+        # distance from the quadric to first order; the cone's gradient vanishes in its apex only
+        assert (np.abs(value) / gradient).max() < 3e-5, name
+
+
+# ---------------------------------------------------------------------- weights and infinity
+
+
+def test_rays_meet_the_weighted_patches():
+    s = shot("weights")
+    ids = [f"weight_{k}" for k in range(len(make_lecture().WEIGHTS))]
+    for name, (p, uv, prim, _n) in hits_of(s, ids, 3).items():
+        assert len(p) > 25, name
+        patches = s.scene.shapes()[s.ids.index(name)].patches
+        # float32 at a distance of 27
+        np.testing.assert_allclose(patches.points(prim, uv), p, rtol=0, atol=1e-4, err_msg=name)
+        assert (uv >= -1e-5).all() and (uv.sum(axis=1) <= 1 + 1e-5).all()
+
+
+def edge(weight, t):
+    """Return homogeneous points of the edge u + v = 1 with this weight in its middle."""
+    net = make_lecture().weighted_net(weight)
+    t = np.asarray(t, dtype=np.float64)
+    return mb.BezierTriangles(net).evaluate(0, np.column_stack([1 - t, t]))
+
+
+def test_what_weights_do_to_the_edge():
+    t = np.linspace(0, 1, 101)
+    a, b = edge(1.0, [0.0, 1.0])[:, :3]
+    # zero: the control point has no say, the edge is the chord
+    chord = affine(edge(0.0, t))
+    np.testing.assert_allclose(np.cross(chord - a, b - a), 0, atol=1e-14)
+    # negative: the other arc of the conic of the positive weight, which x(t) -> -w also means
+    # the parameter t / (2 t - 1)
+    inner = np.delete(t, 50)
+    other = edge(0.45, inner / (2 * inner - 1))
+    np.testing.assert_allclose(affine(other), affine(edge(-0.45, inner)), rtol=0, atol=1e-12)
+    # large: towards the control point, as 1 / w
+    top = affine(edge(6.0, [0.5]))[0]
+    assert abs(1.5 - top[2]) < 1.5 / 7 + 1e-12
+    # below -1 the edge runs through infinity twice, at w = -1 once, above never
+    for weight, crossings in ((-1.2, 2), (-0.45, 0), (0.25, 0)):
+        signs = np.sign(edge(weight, t)[:, 3])
+        assert np.count_nonzero(np.diff(signs)) == crossings
+    assert is_ideal(edge(-1.0, [0.5])).all()
+
+
+# ---------------------------------------------------------------------- developable
+
+
+def test_ribbon_is_developable_where_rays_meet_it():
+    s = shot("developable")
+    p, uv, prim, n = hits_of(s, ["ribbon"], 4)["ribbon"]
+    assert len(p) > 200
+    patches = s.scene.shapes()[s.ids.index("ribbon")].patches
+    np.testing.assert_allclose(patches.points(prim, uv), p, rtol=0, atol=3e-5)  # float32
+    # rounding of second derivatives, against curvatures of order 1 (mean curvature)
+    assert np.abs(gaussian_curvature(patches.differential(prim, uv))).max() < 1e-9
+    # along a ruling the tangent plane is the same: that of the control planes at this t
+    t = np.where(prim == 0, uv[:, 0], 1 - uv[:, 0])
+    planes = make_lecture().ribbon().tangent_plane(t)
+    planes = planes[:, :] / np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    distance = np.abs((planes[:, :3] * p).sum(axis=1) + planes[:, 3])
+    assert distance.max() < 3e-5
+    assert (np.abs((planes[:, :3] * n).sum(axis=1)) > 1 - 1e-5).all()
+
+
+def test_rulings_touch_the_curve_of_regression():
+    module = make_lecture()
+    curve, surface = module.REGRESSION, module.ribbon()
+    t = np.linspace(0, 1, 21)
+    # the curve of regression that the planes give is the cubic they came from
+    x, y = surface.regression_curve().points(t), curve.points(t)
+    np.testing.assert_allclose(x, y, rtol=0, atol=1e-10)
+    h = 1e-5
+    tangent = (curve.points(t + h) - curve.points(t - h)) / (2 * h)
+    rulings = surface.ruling(t)[:, :3]
+    cross = np.cross(tangent, rulings)
+    scale = np.linalg.norm(tangent, axis=1) * np.linalg.norm(rulings, axis=1)
+    # central difference: h^2 and rounding / h
+    assert (np.linalg.norm(cross, axis=1) / scale).max() < 1e-8
+    for p, q in module.ribbon_rulings():
+        for plane in (module.RIBBON_PLANES[1],):
+            assert abs(np.dot(plane, [*q, 1])) < 1e-12
+        assert np.linalg.norm(p - q) > 0.3
+
+
+# ---------------------------------------------------------------------- invariance
+
+
+def test_picture_is_invariant_under_a_collineation_of_scene_and_rays():
+    """General collineation: the same pixels see the same patches at the same parameters."""
+    s = shot("figure2")
+    shapes = [shape for shape in s.scene.shapes() if hasattr(shape, "patches")]
+    rng = np.random.default_rng(3)
+    h = np.eye(4) + 0.1 * rng.normal(size=(4, 4))
+    h[3] = [0.03, 0.02, -0.025, 1.0]  # the plane that goes to infinity misses scene and eye
+    w, hgt = s.camera.film_size
+    x, y = np.meshgrid(np.arange(0.5, w, 3), np.arange(0.5, hgt, 3))
+    ray = s.rays(np.column_stack([x.ravel(), y.ravel()]))
+    o, d = (np.array(v, dtype=np.float64).T for v in (ray.o, ray.d))
+
+    def seen(patches, o, d):
+        scene = mi.load_dict(
+            {"type": "scene"}
+            | {
+                f"s{k}": {"type": "beziertriangle", "control_points": tensor(p)}
+                for k, p in enumerate(patches)
+            }
+        )
+        si = mb.ray_intersect(
+            scene, mi.Ray3f(mi.Point3f(*np.float32(o).T), mi.Vector3f(*np.float32(d).T))
+        )
+        number = np.full(len(o), -1)
+        for shape in scene.shapes():
+            on = np.array(mi.ShapePtr(si.shape) == mi.ShapePtr(shape)) & np.array(si.is_valid())
+            number[on] = int(shape.id()[1:])
+        return number, np.array(si.uv).T
+
+    before, uv = seen([p.patches for p in shapes], o, d)
+    a = np.c_[o, np.ones(len(o))] @ h.T
+    b = np.c_[d, np.zeros(len(o))] @ h.T
+    # derivative of the image of o + t d at t = 0: the ray keeps its sense where the weight is > 0
+    assert (a[:, 3] > 0).all()
+    direction = b[:, :3] * a[:, 3:] - a[:, :3] * b[:, 3:]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    after, uv_after = seen([p.patches.transform(h) for p in shapes], a[:, :3] / a[:, 3:], direction)
+    assert (before >= 0).sum() > 3000
+    same = before == after
+    # a ray through an edge may go either way in float32: 1e-6 of ten units, of 11 000 rays
+    assert (~same).sum() <= 5
+    on = same & (before >= 0)
+    error = np.abs(uv - uv_after)[on].max(axis=1)
+    # the parameters too; they are ill-determined at the collapsed ends of the lunes
+    assert np.quantile(error, 0.995) < 2e-4
+
+
+def test_render_is_invariant_under_a_relief_and_a_motion_of_the_camera():
+    """Mitsuba's sensor on the original, and moved with the relief of the scene: one image."""
+    s = shot("figure2")
+    shapes = [shape for shape in s.scene.shapes() if hasattr(shape, "patches")]
+    eye = s.camera.center
+    # a plane behind the objects is fixed, everything else is drawn towards it
+    relief = homology(eye, [0, 1, 0, -3.0], 0.4)
+    motion = np.array(mi.ScalarTransform4f().translate([1, 2, 3]).rotate([0.6, 0, 0.8], 40).matrix)
+
+    def image(patches, to_world):
+        scene = {
+            "type": "scene",
+            "integrator": {"type": "bezierpath", "max_depth": 1},
+            "sensor": {
+                "type": "perspective", "fov": s.camera.x_fov, "fov_axis": "x",
+                "to_world": mi.ScalarTransform4f(to_world),
+                "film": {"type": "hdrfilm", "width": 160, "height": 90, "rfilter": {"type": "box"}},
+            },
+        }  # fmt: skip
+        for k, p in enumerate(patches):
+            light = {"type": "rgb", "value": [1 + k % 4, 1 + k // 4 % 4, 1 + k // 16]}
+            # seen from behind a patch is black, in both pictures
+            scene[f"s{k}"] = {
+                "type": "beziertriangle",
+                "control_points": tensor(p),
+                "emitter": {"type": "area", "radiance": light},
+            }
+        return np.array(mi.render(mi.load_dict(scene), spp=4, seed=1))
+
+    world = [shape.patches for shape in shapes]
+    first = image(world, s.camera.to_world)
+    moved = motion @ relief
+    second = image([p.transform(moved) for p in world], motion @ s.camera.to_world)
+    assert (first.sum(axis=2) > 0).mean() > 0.12  # the balls are there
+    # float32 decides a sample on an edge: 57 600 samples, some 3 % of them within a pixel of one
+    assert (np.abs(first - second).max(axis=2) > 1e-3).mean() < 1e-3
