@@ -5,8 +5,8 @@ four again and again; every piece `T` ends in one of these ways (`E` is `T` enla
 about its centroid, so that neighbours overlap):
 
 *Sign test.* A linear combination of the two polynomials has coefficients of one sign on `T`:
-no root. Tried are the polynomials themselves, and the combinations by the adjugate and by the
-transpose of the Jacobian at the centroid, which turn the pair towards the coordinate axes.
+no root. Tried are the two themselves, then the combination that the coefficients, as points in
+the plane, suggest: it succeeds whenever their convex hull leaves out the origin.
 
 *Simple root.* With ``Y`` the inverse Jacobian at the centroid, ``|Y DF - I| < 1`` in the
 maximum norm for all Bernstein coefficients of ``DF`` on `E`. Then ``YF`` is injective on
@@ -19,9 +19,13 @@ point to within 1/4 of its distance from a root in `T`, and no later step goes f
 along it keeps its sign. Then `g` has at most one extremum on the curve: no root, a double
 root, or two roots, one on each side of the fold point, from which they are found.
 
+*Near miss.* With a `band`, pieces that come that close to a root are kept until they hold no
+fold, until the fold point is found, or until their image is small compared with its distance.
+
 *Unresolved.* At the depth limit, or when one problem holds more pieces than isolated roots
 can explain (a curve of roots; a collapsed edge on the line), damped least squares from the
-piece's centroid tells a root that cannot be certified from a near miss.
+piece's centroid either finds a root, which nothing certifies to be the only one, or leaves
+the piece undecided.
 
 What is proved holds up to the rounding of the coefficients, bounded here by `NOISE`.
 """
@@ -37,6 +41,7 @@ from . import bernstein
 from .bivariate_local import (
     NOISE,
     adjugate,
+    evaluate,
     fold_points,
     hull_distance,
     is_fold,
@@ -116,6 +121,7 @@ class _Search:
         if self.frame:
             corners = (1.0 + 3.0 * self.frame) * np.eye(3) - self.frame
             f = f @ bernstein.subdivision_matrix(self.n, corners).T
+        rounding = 16 * self.n * np.finfo(float).eps
         regular = np.zeros(count, dtype=bool)
         plain = np.zeros(count, dtype=bool)  # no near miss to be looked for
         for level in range(_DEPTH + 1):
@@ -144,7 +150,8 @@ class _Search:
 
             j = f @ m.center.T  # (M, 2, 2), rows the polynomials
             det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
-            usable = np.abs(det) > 1e-13 * (j**2).sum(axis=(1, 2))
+            # 16 n eps: the rounding of a derivative
+            usable = np.abs(det) > rounding * np.sqrt((j**2).sum(axis=(1, 2)))
             d1 = (f @ m.first.T).reshape(len(q), 2, 2, bernstein.size(self.n - 1))
             moved = adjugate(j) / np.where(usable, det, 1.0)[:, None, None]
             moved = (moved @ d1.reshape(len(q), 2, 2 * bernstein.size(self.n - 1))).reshape(
@@ -258,8 +265,11 @@ class _Search:
             out = np.minimum(x.min(axis=1), 1.0 - x.sum(axis=1)) < 0.0
             problem, x, kind, radius = problem[out], x[out], kind[out], radius[out]
         near = kind < 0
+        value = np.zeros(len(x))
+        e = evaluate(self.f[problem[near]], x[near], 1)
+        value[near] = np.linalg.norm(e[..., 0], axis=1)
         rank = np.select([kind == SIMPLE, kind == DOUBLE, kind == UNRESOLVED], [0, 1, 2], 5 + kind)
-        order = np.lexsort((rank, problem))
+        order = np.lexsort((value, rank, problem))
         problem, x, kind, radius, near = (a[order] for a in (problem, x, kind, radius, near))
         drop = np.zeros(len(x), dtype=bool)
         for lag in range(1, int(np.bincount(problem).max(initial=0))):

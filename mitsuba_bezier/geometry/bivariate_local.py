@@ -235,7 +235,8 @@ def is_fold(f: np.ndarray, jacobian: np.ndarray, d1: np.ndarray) -> np.ndarray:
         return 2 * slope * size[:, p, 1] + slope**2 * size[:, p, 0]
 
     rest = along(1) + g1 / least * (size[:, 0, 2] + along(0))
-    out[go] = bend > rest
+    # 16 n^2 eps: the rounding of a second derivative
+    out[go] = bend > rest + 16 * n**2 * np.finfo(float).eps
     return out
 
 

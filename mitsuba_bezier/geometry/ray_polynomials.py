@@ -29,6 +29,8 @@ class Patches:
             affine = np.where(finite[..., None], points[..., :3] / w[..., None], 0.0)
         count = np.maximum(finite.sum(axis=1), 1)
         self.center = affine.sum(axis=1) / count[:, None]
+        apart = np.linalg.norm(affine - self.center[:, None], axis=2)
+        self.finite = np.where(finite, apart, 0.0).max(axis=1)  # reach of the finite points
         local = points.copy()
         local[..., :3] -= w[..., None] * self.center[:, None]
         self.nets = BezierTriangles(local)
