@@ -32,10 +32,15 @@ __all__ = [
 _READERS = {
     ".bbp": "geomview.read",
     ".bez": "geomview.read",
+    ".brep": "cad.read",
     ".bv": "bezierview.read",
+    ".iges": "cad.read",
+    ".igs": "cad.read",
     ".msh": "gmsh.read",
     ".obj": "obj.read",
     ".off": "geomview.read_off",
+    ".step": "cad.read",
+    ".stp": "cad.read",
     ".vtu": "vtu.read",
 }
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}

@@ -13,7 +13,7 @@ import numpy as np
 
 from .nurbs import check_knots, surface_to_bezier
 
-__all__ = ["CURVED", "MAX_CELLS", "parameter_line", "rectilinear", "trimmed"]
+__all__ = ["CURVED", "MAX_CELLS", "parameter_line", "rectangles", "rectilinear", "trimmed"]
 
 #: A loop of n edges cuts into up to n^2 / 4 patches: a small file must not fill the memory.
 MAX_CELLS = 100_000
@@ -73,8 +73,9 @@ def rectilinear(loops: list[list[np.ndarray]], tolerance: np.ndarray) -> list[np
 def _cuts(edges: list[np.ndarray], knots: np.ndarray, tolerance: float, axis: int) -> np.ndarray:
     """Return the distinct coordinates of the edges; those near a knot are replaced by it."""
     values = np.unique(np.concatenate([e[..., axis].ravel() for e in edges]))
-    near = knots[np.abs(values[:, None] - knots[None]).argmin(axis=1)]
-    values = np.unique(np.where(np.abs(values - near) <= tolerance, near, values))
+    if len(knots):
+        near = knots[np.abs(values[:, None] - knots[None]).argmin(axis=1)]
+        values = np.unique(np.where(np.abs(values - near) <= tolerance, near, values))
     # values closer to each other than the tolerance are one cut
     return values[np.concatenate([[True], np.diff(values) > tolerance])]
 
@@ -87,6 +88,42 @@ def _inside(points: np.ndarray, edges: list[np.ndarray]) -> np.ndarray:
             low, high = min(v0, v1), max(v0, v1)
             crossings += (u0 > points[:, 0]) & (low <= points[:, 1]) & (points[:, 1] < high)
     return crossings % 2 == 1
+
+
+def rectangles(edges: list[np.ndarray], tolerance: np.ndarray) -> np.ndarray | str:
+    """Cut the inside of axis-parallel loops into rectangles.
+
+    Parameters
+    ----------
+    edges : list of (k, 2, 2) arrays
+        The loops, as `rectilinear` returns them.
+    tolerance : (2,) array
+        Cuts closer than that, in u and in v, are one.
+
+    Returns
+    -------
+    (R, 2, 2) array, or str
+        ``[[u0, u1], [v0, v1]]`` of each; or the reason why there are none. A row of rectangles
+        that share whole sides along u is one rectangle.
+    """
+    nothing = np.zeros(0)
+    cut_u, cut_v = (_cuts(edges, nothing, tolerance[axis], axis) for axis in range(2))
+    if len(cut_u) * len(cut_v) > MAX_CELLS:
+        return f"its trims cut it into more than {MAX_CELLS} patches"
+    u, v = (cut_u[:-1] + cut_u[1:]) / 2, (cut_v[:-1] + cut_v[1:]) / 2
+    centers = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    left = _inside(centers, edges).reshape(len(u), len(v))
+    out = []
+    start = 0
+    for i in range(len(u)):
+        if i + 1 < len(u) and np.array_equal(left[i], left[i + 1]):
+            continue  # the cut between the two is none for this row
+        column = np.concatenate([[False], left[i], [False]])
+        changes = np.flatnonzero(column[1:] != column[:-1])
+        for low, high in zip(changes[::2], changes[1::2]):
+            out.append([[cut_u[start], cut_u[i + 1]], [cut_v[low], cut_v[high]]])
+        start = i + 1
+    return np.array(out) if out else "nothing is left inside of its trims"
 
 
 def trimmed(

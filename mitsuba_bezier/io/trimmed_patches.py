@@ -1,0 +1,344 @@
+"""Surfaces trimmed by curves: exact restriction to curved triangles of the parameter plane.
+
+The trimmed region is cut along the knots, each part is filled with curved plane triangles
+(`plane_regions`), and a patch ``S`` of bidegree (p, q) after a plane triangle ``T`` of degree n
+is again a rational Bézier triangle, of degree ``n (p + q)``. So the surface is exact, and its
+boundary follows the trimming curves as they are given here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from math import comb
+
+import numpy as np
+
+from ..geometry import bernstein
+from .nurbs import bezier_matrices, surface_to_bezier
+from .plane_regions import chain, region_to_triangles
+from .tensor_nets import tensor_nets
+from .trims import rectangles, rectilinear
+
+__all__ = ["compose", "cut", "fit_parabolas", "trimmed_patches"]
+
+
+@cache
+def _multinomials(n: int) -> np.ndarray:
+    return np.array([comb(n, i) * comb(n - i, j) for i, j, _k in bernstein.multi_indices(n)])
+
+
+@cache
+def _product_rows(n: int, m: int) -> np.ndarray:
+    """Return the row of the product of monomials, ``(K_n K_m,)``."""
+    index = bernstein.multi_indices(n)[:, None] + bernstein.multi_indices(m)[None]
+    level = n + m - index[..., 0]
+    return (level * (level + 1) // 2 + level - index[..., 1]).ravel()
+
+
+def _multiply(f: np.ndarray, n: int, g: np.ndarray, m: int) -> np.ndarray:
+    """Multiply homogeneous polynomials in (u, v, w), given by their plain coefficients."""
+    rows = _product_rows(n, m)
+    return np.bincount(rows, weights=np.outer(f, g).ravel(), minlength=bernstein.size(n + m))
+
+
+def _powers(f: np.ndarray, g: np.ndarray, n: int, p: int) -> np.ndarray:
+    """Return ``C(p, i) f^i g^(p-i)`` for i = 0 .. p, polynomials of degree ``n p``."""
+    up, down = [np.ones(1)], [np.ones(1)]
+    for k in range(p):
+        up.append(_multiply(up[-1], n * k, f, n))
+        down.append(_multiply(down[-1], n * k, g, n))
+    return np.array(
+        [comb(p, i) * _multiply(up[i], n * i, down[p - i], n * (p - i)) for i in range(p + 1)]
+    )
+
+
+def compose(patch: np.ndarray, domain: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Return a tensor-product patch restricted to a triangle of its parameter plane.
+
+    Parameters
+    ----------
+    patch : (p+1, q+1, 4) array
+        Homogeneous control points.
+    domain : (2, 2) array
+        ``[[u0, u1], [v0, v1]]`` of the patch.
+    triangle : (K, 3) array
+        Net of degree n of homogeneous parameters ``(w u, w v, w)``.
+
+    Returns
+    -------
+    (K', 4) array
+        Net of degree ``n (p + q)``.
+    """
+    p, q = patch.shape[0] - 1, patch.shape[1] - 1
+    n = bernstein.degree_of(len(triangle))
+    plain = triangle * _multinomials(n)[:, None]
+    along = []
+    for axis, degree in ((0, p), (1, q)):
+        low, high = domain[axis]
+        s = (plain[:, axis] - low * plain[:, 2]) / (high - low)
+        along.append(_powers(s, plain[:, 2] - s, n, degree))
+    first = np.einsum("ik,ijc->jck", along[0], patch)
+    out = np.zeros((bernstein.size(n * (p + q)), 4))
+    for j in range(q + 1):
+        for c in range(4):
+            out[:, c] += _multiply(first[j, c], n * p, along[1][j], n * q)
+    return out / _multinomials(n * (p + q))[:, None]
+
+
+# ---------------------------------------------------------------------------- cutting regions
+
+
+def _evaluate(curve: np.ndarray, t: np.ndarray) -> np.ndarray:
+    n = len(curve) - 1
+    basis = np.stack([comb(n, i) * t**i * (1 - t) ** (n - i) for i in range(n + 1)], axis=-1)
+    h = basis @ curve
+    return h[..., :2] / h[..., 2:]
+
+
+def _pieces(curve: np.ndarray, cuts: list[float]) -> list[np.ndarray]:
+    n = len(curve) - 1
+    knots = np.array([0.0] * (n + 1) + [1.0] * (n + 1))
+    matrices, _first, _intervals = bezier_matrices(knots, n, cuts)
+    return list(matrices @ curve)
+
+
+def _roots(curve: np.ndarray, axis: int, value: float) -> list[float]:
+    """Return the parameters in (0, 1) at which a coordinate takes a value."""
+    h = curve[:, axis] - value * curve[:, 2]
+    if (h > 0).all() or (h < 0).all():
+        return []
+    n = len(h) - 1
+    power = np.zeros(n + 1)  # to powers of t, highest first, for numpy
+    for i in range(n + 1):
+        for k in range(n - i + 1):
+            power[n - i - k] += h[i] * comb(n, i) * comb(n - i, k) * (-1) ** k
+    scale = np.abs(power).max()
+    if scale == 0:
+        return []
+    lead = np.flatnonzero(np.abs(power) > 1e-14 * scale)
+    roots = np.roots(power[lead[0] :])
+    real = roots.real[np.abs(roots.imag) < 1e-7]
+    # 1e-9: a root at an end of the curve cuts off nothing
+    return sorted(float(t) for t in real if 1e-9 < t < 1 - 1e-9)
+
+
+def cut(
+    curves: list[np.ndarray], axis: int, value: float, tolerance: float
+) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
+    """Cut a region at a parameter line.
+
+    Parameters
+    ----------
+    curves : list of (n+1, 3) arrays
+        The boundary, in any order.
+    axis : int
+        0 to cut at u = value, 1 at v = value.
+    value : float
+        Where to cut.
+    tolerance : float
+        Points closer to the line than that lie on it.
+
+    Returns
+    -------
+    pair of list of (n+1, 3) arrays, or None
+        The boundaries of the parts below and above; None if the boundary is not closed.
+    """
+    sides: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for curve in curves:
+        for piece in _pieces(curve, _roots(curve, axis, value)):
+            points = piece[:, axis] / piece[:, 2] - value
+            if np.abs(points).max() <= tolerance:
+                continue  # along the line: put back below where it is needed
+            middle = _evaluate(piece, np.array([0.25, 0.5, 0.75]))[:, axis] - value
+            piece = piece.copy()
+            for end in (0, -1):
+                if abs(points[end]) <= tolerance:
+                    piece[end, axis] = value * piece[end, 2]
+            sides[int(middle.sum() > 0)].append(piece)
+    for side in sides:
+        # where the part meets the line: just inside of it, the region begins and ends in turn
+        ends = [c[e] / c[e, 2] for c in side for e in (0, -1)]
+        at = sorted(float(x[1 - axis]) for x in ends if x[axis] == value)
+        if len(at) % 2:
+            return None
+        for low, high in zip(at[::2], at[1::2]):
+            if high - low > tolerance:
+                segment = np.ones((2, 3))
+                segment[:, axis] = value
+                segment[:, 1 - axis] = low, high
+                side.append(segment)
+    return sides
+
+
+def _cells(
+    curves: list[np.ndarray], lines: tuple[np.ndarray, np.ndarray], tolerance: np.ndarray
+) -> list[tuple[int, int, list[np.ndarray]]] | None:
+    """Cut a region at all lines; return the cells that have a part of it."""
+    columns = []
+    rest = curves
+    for i, u in enumerate(lines[0]):
+        parts = cut(rest, 0, float(u), float(tolerance[0]))
+        if parts is None:
+            return None
+        columns.append((i, parts[0]))
+        rest = parts[1]
+    columns.append((len(lines[0]), rest))
+    out = []
+    for i, column in columns:
+        rest = column
+        for j, v in enumerate(lines[1]):
+            if not rest:
+                break
+            parts = cut(rest, 1, float(v), float(tolerance[1]))
+            if parts is None:
+                return None
+            if parts[0]:
+                out.append((i, j, parts[0]))
+            rest = parts[1]
+        else:
+            if rest:
+                out.append((i, len(lines[1]), rest))
+    return out
+
+
+# ---------------------------------------------------------------------------- patches
+
+
+def fit_parabolas(
+    evaluate: Callable[[np.ndarray], np.ndarray], scale: np.ndarray, tolerance: float
+) -> list[np.ndarray] | None:
+    """Return parabolas close to a plane curve.
+
+    Parameters
+    ----------
+    evaluate : callable
+        From parameters ``(N,)`` in [0, 1] to points ``(N, 2)``.
+    scale : (2,) array
+        Lengths on the surface of a unit along u and along v.
+    tolerance : float
+        Largest distance on the surface, measured across the curve at a quarter and three
+        quarters of each parabola.
+
+    Returns
+    -------
+    list of (3, 3) arrays, or None
+        Homogeneous Bézier points; None if more than 512 would be needed.
+    """
+    out: list[np.ndarray] = []
+    todo = [(0.0, 1.0, 0)]
+    while todo:
+        a, b, depth = todo.pop()
+        t = a + (b - a) * np.array([0, 0.25, 0.5, 0.75, 1])
+        x = evaluate(t)
+        middle = 2 * x[2] - (x[0] + x[4]) / 2
+        fitted = np.array(
+            [
+                x[0] * 9 / 16 + middle * 6 / 16 + x[4] / 16,
+                x[0] / 16 + middle * 6 / 16 + x[4] * 9 / 16,
+            ]
+        )
+        off = (x[[1, 3]] - fitted) * scale
+        tangent = np.array([x[2] - x[0], x[4] - x[2]]) * scale
+        length = np.linalg.norm(tangent, axis=1, keepdims=True)
+        tangent = tangent / np.maximum(length, 1e-300)
+        across = off[:, 0] * tangent[:, 1] - off[:, 1] * tangent[:, 0]
+        # along the curve the error may be larger, but must stay small against the piece
+        if len(out) + len(todo) > 512:
+            return None
+        if depth < 12 and (
+            depth < 1
+            or np.abs(across).max() > tolerance
+            or np.linalg.norm(off, axis=1).max() > 0.05 * length.min() + tolerance
+        ):
+            todo += [((a + b) / 2, b, depth + 1), (a, (a + b) / 2, depth + 1)]
+            continue
+        out.append(np.column_stack([np.stack([x[0], middle, x[4]]), np.ones(3)]))
+    return out
+
+
+def trimmed_patches(
+    net: np.ndarray,
+    knots: tuple[np.ndarray, np.ndarray],
+    degrees: tuple[int, int],
+    curves: list[np.ndarray],
+) -> list[np.ndarray] | str:
+    """Return the Bézier triangles of a NURBS surface inside of trimming curves.
+
+    Parameters
+    ----------
+    net : (m, n, 4) array
+        Homogeneous control points.
+    knots : pair of arrays
+        The knots along u and along v.
+    degrees : (int, int)
+        The degrees along u and along v.
+    curves : list of (k+1, 3) arrays
+        The boundary as homogeneous Bézier curves in (u, v) of positive weights, in any order.
+
+    Returns
+    -------
+    list of (P, K, 4) arrays, or str
+        Nets of several degrees, or the reason why there are none.
+
+    Raises
+    ------
+    GeometryError
+        If the knots do not fit.
+    """
+    patches, domains = surface_to_bezier(net, *knots, degrees)
+    u, v = (np.unique(domains[:, axis]) for axis in range(2))
+    columns = len(v) - 1
+    ends = np.concatenate([c[:, :2] / c[:, 2:] for c in curves])
+    extent = np.maximum(np.ptp(ends, axis=0), 1e-12)
+    # 1e-8: well above the rounding of roots, well below anything one can see
+    tolerance = 1e-8 * extent
+    cells = _cells(curves, (u[1:-1], v[1:-1]), tolerance)
+    if cells is None:
+        return "its boundary is not closed"
+    out: list[np.ndarray] = []
+    for i, j, boundary in cells:
+        patch = patches[i * columns + j]
+        domain = np.array([u[i : i + 2], v[j : j + 2]])
+        edges = rectilinear([[c[:, :2] / c[:, 2:] for c in boundary]], tolerance)
+        if edges is not None:
+            boxes = rectangles(edges, tolerance)
+            if not isinstance(boxes, str):
+                out += [_box(patch, domain, box) for box in boxes]
+            continue
+        found = _cell_triangles(boundary, domain)
+        if isinstance(found, str):
+            return found
+        out += [compose(patch, domain, triangle)[None] for triangle in found]
+    return out or "nothing is left inside of its trims"
+
+
+def _cell_triangles(boundary: list[np.ndarray], domain: np.ndarray) -> list[np.ndarray] | str:
+    """Fill the part of a region in one cell, in coordinates that make the cell a square."""
+    low, size = domain[:, 0], domain[:, 1] - domain[:, 0]
+    local = []
+    for curve in boundary:
+        c = curve.copy()
+        c[:, :2] = (c[:, :2] - low * c[:, 2:]) / size
+        local.append(c)
+    loops = chain(local, 1e-4)
+    if loops is None:
+        return "its boundary is not closed"
+    found = region_to_triangles(loops)
+    if isinstance(found, str):
+        return [] if "no area" in found else found
+    for triangle in found:
+        triangle[:, :2] = triangle[:, :2] * size + low * triangle[:, 2:]
+    return found
+
+
+def _box(patch: np.ndarray, domain: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return the two triangles of a patch restricted to a rectangle."""
+    low, size = domain[:, :1], domain[:, 1:] - domain[:, :1]
+    for axis, (a, b) in enumerate((box - low) / size):
+        n = patch.shape[axis] - 1
+        knots = np.array([0.0] * (n + 1) + [1.0] * (n + 1))
+        matrices, _first, intervals = bezier_matrices(knots, n, [a, b])
+        at = int(np.argmin(np.abs(intervals - [a, b]).sum(axis=1)))
+        patch = np.moveaxis(np.tensordot(matrices[at], patch, (1, axis)), 0, axis)
+    return tensor_nets(patch[None])
