@@ -30,6 +30,7 @@ __all__ = [
 
 #: Suffix to the module and function that read it; modules are imported when they are needed.
 _READERS = {
+    ".3dm": "rhino.read",
     ".bbp": "geomview.read",
     ".bez": "geomview.read",
     ".brep": "cad.read",

@@ -1,0 +1,256 @@
+"""Rhino's ``.3dm`` files through rhino3dm (the extra ``[rhino]``).
+
+Surfaces, faces of polysurfaces (Breps), extrusions and block instances are read. rhino3dm does
+not tell the trimming curves in (u, v), so the edges in space are pulled back to the surface;
+plane faces take them as they are.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ..errors import BezierError, FileFormatError
+from ..geometry import bernstein
+from .files import damaged, read_bytes
+from .nurbs import curve_to_bezier
+from .nurbs_surface import NurbsSurface, bezier_points
+from .plane_regions import chain, join_ends, region_to_triangles, standard
+from .report import Collector, Model
+from .tensor_nets import tensor_nets
+from .trimmed_patches import fit_parabolas, trimmed_patches
+
+__all__ = ["read"]
+
+_MAX_DEPTH = 8  # blocks within blocks
+
+
+def _library() -> Any:
+    try:
+        import rhino3dm
+    except ImportError as error:
+        raise FileFormatError.expected(
+            "path",
+            "a file that can be read",
+            f"a .3dm file, which needs rhino3dm ({error}): pip install 'mitsuba-bezier[rhino]'",
+        ) from None
+    return rhino3dm
+
+
+class _Reader:
+    def __init__(self, path: str | PathLike[str], library: Any, file: Any) -> None:
+        self.library = library
+        self.collector = Collector(path, "3dm")
+        self.objects = {str(o.Attributes.Id): o for o in file.Objects}
+        self.blocks = {str(d.Id): d for d in file.InstanceDefinitions}
+        self.others: dict[str, int] = {}
+
+    def geometry(self, item: Any, name: str, matrix: np.ndarray, depth: int = 0) -> None:
+        """Convert an object, moved by a 4x4 matrix."""
+        kind = type(item).__name__
+        if kind == "InstanceReference":
+            block = self.blocks.get(str(item.ParentIdefId))
+            if block is None or depth >= _MAX_DEPTH:
+                self.collector.report.refuse(name, "block instance without its definition")
+                return
+            inner = matrix @ np.array(item.Xform.ToFloatArray(True)).reshape(4, 4)
+            for number, key in enumerate(block.GetObjectIds()):
+                part = self.objects.get(str(key))
+                if part is not None:
+                    self.geometry(part.Geometry, f"{name}.{number}", inner, depth + 1)
+            return
+        if kind == "Extrusion":
+            item, kind = item.ToBrep(True), "Brep"
+        if kind == "Brep":
+            for number in range(len(item.Faces)):
+                self.add(f"{name} face {number}", matrix, _brep_face, item, item.Faces[number])
+        elif kind in ("NurbsSurface", "RevSurface", "PlaneSurface", "Surface", "SumSurface"):
+            self.add(name, matrix, _whole_surface, item)
+        elif kind in ("Mesh", "SubD"):
+            self.collector.report.refuse(name, f"{kind}: no NURBS surface")
+        else:
+            self.others[kind] = self.others.get(kind, 0) + 1
+
+    def add(self, name: str, matrix: np.ndarray, convert: Any, *arguments: Any) -> None:
+        try:
+            nets = convert(*arguments)
+        except BezierError as error:
+            nets = str(error)
+        if isinstance(nets, str):
+            self.collector.report.refuse(name, nets)
+            return
+        number = self.collector.report.faces
+        for net in nets:
+            self.collector.add(net @ matrix.T, number)
+        self.collector.report.accept()
+
+
+def read(path: str | PathLike[str]) -> Model:
+    """Read a ``.3dm`` file.
+
+    Raises
+    ------
+    FileFormatError
+        If rhino3dm is not installed, the file is missing or damaged, or no face of it can be
+        converted.
+    """
+    data = read_bytes(path)
+    if not data.startswith(b"3D Geometry File Format "):
+        raise damaged(path, "a .3dm file ('3D Geometry File Format' at its start)", "other data")
+    library = _library()
+    file = library.File3dm.Read(str(path))
+    if file is None:
+        raise damaged(path, "a file that rhino3dm can read", "one it refuses")
+    reader = _Reader(path, library, file)
+    for number, item in enumerate(file.Objects):
+        if not item.Attributes.IsInstanceDefinitionObject:
+            reader.geometry(item.Geometry, f"object {number}", np.eye(4))
+    for kind, count in reader.others.items():
+        reader.collector.report.remarks.append(f"{count} objects of type {kind}, no surfaces")
+    return reader.collector.model(lambda: damaged(path, "surfaces", "none that can be converted"))
+
+
+def _knots(knots: Any) -> np.ndarray:
+    """Return knots with the first and the last, which Rhino leaves out."""
+    values = [knots[k] for k in range(len(knots))]
+    return np.array([values[0], *values, values[-1]])
+
+
+def _nurbs(surface: Any) -> NurbsSurface:
+    form = surface if type(surface).__name__ == "NurbsSurface" else surface.ToNurbsSurface()
+    if form is None:
+        raise FileFormatError("a surface without NURBS form")
+    m, n = form.Points.CountU, form.Points.CountV
+    net = np.empty((m, n, 4))
+    for i in range(m):
+        for j in range(n):
+            p = form.Points.GetControlPoint(i, j)  # homogeneous
+            net[i, j] = p.X, p.Y, p.Z, p.W
+    degrees = (form.OrderU - 1, form.OrderV - 1)
+    return NurbsSurface(net, _knots(form.KnotsU), _knots(form.KnotsV), degrees)
+
+
+def _whole_surface(surface: Any) -> list[np.ndarray]:
+    return [tensor_nets(_nurbs(surface).patches)]
+
+
+def _edge(edge: Any) -> np.ndarray:
+    """Return the Bézier pieces ``(S, n+1, 4)`` of an edge in space."""
+    curve = edge.ToNurbsCurve()
+    points = [curve.Points[k] for k in range(len(curve.Points))]
+    net = np.array([[p.X, p.Y, p.Z, p.W] for p in points])
+    return curve_to_bezier(net, _knots(curve.Knots), curve.Order - 1)
+
+
+def _brep_face(brep: Any, face: Any) -> list[np.ndarray] | str:
+    surface = _nurbs(face.UnderlyingSurface())
+    turned = face.OrientationIsReversed
+    loops: list[list[tuple[np.ndarray, int]]] = []
+    for loop in face.Loops:
+        trims = [loop.Trims[k] for k in range(loop.TrimCount)]
+        part = []
+        for trim in trims:
+            if trim.EdgeIndex < 0:
+                continue  # a pole: no length in space
+            pieces = list(_edge(brep.Edges[trim.EdgeIndex]))
+            if trim.IsReversed:
+                pieces = [piece[::-1] for piece in pieces[::-1]]
+            part += [(piece, trim.EdgeIndex) for piece in pieces]
+        loops.append(part)
+    if (surface.net[..., 3] <= 0).any():
+        return "a surface with weights that are not positive"
+    plane = _plane_frame(surface)
+    if plane is not None:
+        nets = _plane_face(plane, loops)
+    else:
+        nets = _trimmed_face(surface, loops)
+    if isinstance(nets, str) or not turned:
+        return nets
+    return [
+        net[:, bernstein.permutation(bernstein.degree_of(net.shape[1]), (0, 2, 1))] for net in nets
+    ]
+
+
+def _plane_frame(surface: NurbsSurface) -> np.ndarray | None:
+    """Return ``(3, 4)`` rows X, Y, O of a plane surface with X x Y along its normal, or None."""
+    points = (surface.net[..., :3] / surface.net[..., 3:]).reshape(-1, 3)
+    center = points.mean(axis=0)
+    _u, sigma, axes = np.linalg.svd(points - center, full_matrices=False)
+    if sigma[2] > 1e-10 * sigma[0]:
+        return None
+    x, y = axes[0], axes[1]
+    _p, du, dv = surface.jet((surface.domain @ [0.63, 0.37])[None])
+    if np.cross(x, y) @ np.cross(du[0], dv[0]) < 0:
+        y = -y
+    frame = np.zeros((3, 4))
+    frame[:, :3] = x, y, center
+    frame[2, 3] = 1.0
+    return frame
+
+
+def _plane_face(
+    frame: np.ndarray, loops: list[list[tuple[np.ndarray, int]]]
+) -> list[np.ndarray] | str:
+    flat = []
+    for piece, _edge_number in (item for loop in loops for item in loop):
+        local = piece[:, :3] - piece[:, 3:] * frame[2, :3]
+        flat.append(np.column_stack([local @ frame[:2, :3].T, piece[:, 3]]))
+    if any((c[:, 2] <= 0).any() for c in flat):
+        return "trimmed by curves with weights that are not positive"
+    extent = np.ptp(np.concatenate([c[:, :2] / c[:, 2:] for c in flat]), axis=0).max()
+    chained = chain(flat, 1e-3 * float(extent))
+    if chained is None:
+        return "its boundary is not closed"
+    found = region_to_triangles(chained)
+    return found if isinstance(found, str) else [(net @ frame)[None] for net in found]
+
+
+def _trimmed_face(
+    surface: NurbsSurface, loops: list[list[tuple[np.ndarray, int]]]
+) -> list[np.ndarray] | str:
+    """Pull the edges back to (u, v) and restrict the surface to them."""
+    extent = surface.domain[:, 1] - surface.domain[:, 0]
+    _p, du, dv = surface.jet((surface.domain @ [0.63, 0.37])[None])
+    scale = np.array([np.linalg.norm(du), np.linalg.norm(dv)])
+    count = [number for loop in loops for _piece, number in loop]
+    seen: dict[tuple[int, bytes], int] = {}
+    boundary: list[np.ndarray] = []
+    for loop in loops:
+        curves: list[np.ndarray] = []
+        for piece, number in loop:
+            t = np.linspace(0, 1, 9)
+            uv = surface.pull_back(piece, t)
+            off = np.linalg.norm(surface.jet(uv)[0] - bezier_points(piece, t), axis=1).max()
+            if off > 1e-4 * surface.size:
+                return "an edge that does not lie on its surface"
+            spread = np.ptp(uv, axis=0) / extent
+            if spread.min() <= 1e-7:  # along a parameter line
+                axis = int(np.argmin(spread))
+                line = uv[[0, -1]]
+                line[:, axis] = uv[:, axis].mean()
+                if count.count(number) > 1:  # a seam: the second time, it is the other side
+                    low, high = surface.domain[axis]
+                    key = (number, np.sort(piece[[0, -1]], axis=0).round(9).tobytes())
+                    seen[key] = seen.get(key, 0) + 1
+                    previous = curves[-1][-1, axis] if curves else low
+                    first = abs(previous - low) <= abs(previous - high)
+                    if seen[key] == 1:
+                        line[:, axis] = low if first else high
+                        seen[(number, b"side")] = int(first)
+                    else:
+                        line[:, axis] = high if seen[(number, b"side")] else low
+                curves.append(np.column_stack([line, np.ones(2)]))
+                continue
+
+            def place(t: np.ndarray, piece: np.ndarray = piece) -> np.ndarray:
+                return surface.pull_back(piece, t)
+
+            fitted = fit_parabolas(place, scale, 2e-6 * surface.size)
+            if fitted is None:
+                return "trimmed by a curve that parabolas cannot follow"
+            curves += fitted
+        boundary += join_ends([standard(c) for c in curves], 1e-7 * float(extent.max()))
+    boundary = [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()]
+    return trimmed_patches(surface.net, surface.knots, surface.degrees, boundary)
