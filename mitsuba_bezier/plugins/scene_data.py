@@ -125,6 +125,10 @@ class SceneData:
         u, v = pi.prim_uv.x, pi.prim_uv.y
         p, pu, pv, n = self._geometry(hit.patch, u, v, ours)
         n = dr.normalize(n)
+        # The hit point is the patch's, not o + t d. But (u, v) are float32 numbers too, and where
+        # a patch runs to infinity a rounding of them moves the point further than one of t.
+        reach = dr.max(dr.abs(ray.o)) + pi.t * dr.norm(ray.d)
+        p = dr.select(dr.norm(pu) + dr.norm(pv) > reach, dr.fma(pi.t, ray.d, ray.o), p)
 
         si = dr.zeros(mi.SurfaceInteraction3f, dr.width(pi.t))
         si.t = dr.select(ours, pi.t, dr.inf)

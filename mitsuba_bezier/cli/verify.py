@@ -1,0 +1,198 @@
+"""``mitsuba-bezier verify``: renders of patches against the same surfaces as formulas."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._runtime import check, import_mitsuba
+from ..errors import BezierError
+from ..geometry.triangles import BezierTriangles
+
+if TYPE_CHECKING:
+    from ..verification.cases import Case
+    from ..verification.verify import Verdict
+
+__all__ = ["add_parser", "cast", "run"]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the parser of this command."""
+    parser = subparsers.add_parser(
+        "verify",
+        help="check the intersections against analytic surfaces",
+        description="Cast the rays of a perspective camera at exact patches and compare mask, "
+        "depth, position, normal and (u, v) with the analytic surface, computed in float64 "
+        "from the same rays with NumPy alone.",
+        epilog="Exit code: 0 all cases pass, 1 some fail, 2 bad input.",
+    )
+    add = parser.add_argument
+    add("cases", metavar="CASE", nargs="*", help="cases; all if none is named (see --list)")
+    add("--list", action="store_true", help="list the cases and stop")
+    add("-m", "--mode", metavar="VARIANT", default="llvm_ad_rgb", help="variant of Mitsuba")
+    add("--resolution", metavar="N", type=int, default=1024, help="pixels a side (1024)")
+    add("--json", metavar="FILE", help="write the figures; '-' for standard output")
+
+
+def _scene(case: Case, net: Path, resolution: int) -> Any:
+    mi = import_mitsuba()
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "shape": {
+                "type": "beziertriangle",
+                "filename": str(net),
+            },
+            "sensor": {
+                "type": "perspective",
+                "fov": case.fov,
+                "near_clip": 1e-3,
+                "far_clip": 1e7,
+                "to_world": mi.ScalarTransform4f().look_at(case.origin, case.target, [0, 0, 1]),
+                "film": {"type": "hdrfilm", "width": resolution, "height": resolution},
+            },
+        }
+    )
+
+
+def cast(
+    case: Case, resolution: int, patches: BezierTriangles | None = None
+) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Trace the centre of every pixel through the shape plugin.
+
+    Parameters
+    ----------
+    case : Case
+        What to look at.
+    resolution : int
+        Pixels a side.
+    patches : BezierTriangles, optional
+        Other patches than the case's own, to see it fail.
+
+    Returns
+    -------
+    hits : verification.verify.Hits
+    o, d : (N, 3) arrays
+        The rays, float32 numbers.
+    """
+    import drjit as dr
+
+    from ..plugins.scene import ray_intersect
+    from ..verification.verify import Hits
+
+    mi = import_mitsuba()
+    patches = case.patches() if patches is None else patches
+    with TemporaryDirectory() as folder:
+        # a file keeps float64, which a tensor of this variant does not
+        net = Path(folder) / "patches.vtu"
+        patches.save(net)
+        scene = _scene(case, net, resolution)
+    index = dr.arange(mi.UInt32, resolution * resolution)
+    place = mi.Point2f(mi.Float(index % resolution) + 0.5, mi.Float(index // resolution) + 0.5)
+    ray, _weight = scene.sensors()[0].sample_ray(0, 0, place / resolution, 0.5)
+    ray.maxt = dr.inf
+    si = ray_intersect(scene, ray, coherent=True)
+    valid = np.array(si.is_valid())
+
+    def rows(values: Any) -> np.ndarray:
+        return np.array(values, dtype=np.float64).T.reshape(-1, 3)
+
+    # all at once: what is evaluated piece by piece is traced piece by piece
+    dr.eval(si)
+    t = np.where(valid, np.array(si.t, dtype=np.float64), np.inf)
+    patch = np.where(valid, np.array(si.prim_index, dtype=np.int64), 0)
+    uv = np.array(si.uv, dtype=np.float64).T
+    there = patches.differential(patch, uv)
+    surface = np.nan_to_num(there.p)
+    stretch = np.linalg.norm(there.dp_du, axis=1) + np.linalg.norm(there.dp_dv, axis=1)
+    o = np.broadcast_to(rows(ray.o), (len(valid), 3)).copy()
+    return Hits(t, rows(si.p), rows(si.n), surface, np.nan_to_num(stretch)), o, rows(ray.d)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify, print the table, write the figures; return 0 or 1."""
+    from rich.console import Console
+
+    from ..verification.cases import CASES
+    from ..verification.verify import verify
+
+    names = [c.name for c in CASES]
+    if args.list:
+        print("\n".join(names))
+        return 0
+    unknown = [n for n in args.cases if n not in names]
+    if unknown:
+        raise BezierError.expected("CASE", f"one of {', '.join(names)}", unknown[0])
+    if not 8 <= args.resolution <= 16384:
+        raise BezierError.expected("--resolution", "8 to 16384 pixels", args.resolution)
+    mi = import_mitsuba()
+    check(args.mode)
+    mi.set_variant(args.mode)
+    from .. import register
+
+    register()
+    console = Console(stderr=args.json == "-")
+    verdicts = []
+    with console.status("") as status:
+        for case in CASES:
+            if args.cases and case.name not in args.cases:
+                continue
+            status.update(f"{case.name} ...")
+            hits, o, d = cast(case, args.resolution)
+            pixel = math.radians(case.fov) / args.resolution
+            verdicts.append(verify(case, hits, case.truth(o, d), o, d, pixel))
+    _print(console, verdicts)
+    if args.json:
+        _write(args.json, verdicts, args)
+    return 0 if all(v.passed for v in verdicts) else 1
+
+
+def _print(console: Any, verdicts: Sequence[Verdict]) -> None:
+    from rich.table import Table
+
+    table = Table(title="patches against formulas; lengths relative, angles in radians")
+    table.add_column("case")
+    for title in ("hits", "mask", "in band", "depth max", "mean", "position", "uv", "normal max"):
+        table.add_column(title, justify="right")
+    table.add_column("mean", justify="right")
+    table.add_column("")
+    for v in verdicts:
+        table.add_row(
+            v.name,
+            f"{v.hits}",
+            f"{v.mask_mismatches}",
+            f"{v.in_band}",
+            *(f"{x:.1e}" for x in (v.depth_max, v.depth_mean, v.position_max, v.uv_max)),
+            *(f"{x:.1e}" for x in (v.normal_max, v.normal_mean)),
+            "[green]pass[/]" if v.passed else "[bold red]FAIL[/]",
+        )
+    console.print(table)
+
+
+def _write(path: str, verdicts: Sequence[Verdict], args: argparse.Namespace) -> None:
+    from .._version import __version__
+    from ..verification.files import replacing
+    from ..verification.verify import LIMITS
+
+    mi = import_mitsuba()
+    document = {
+        "version": __version__,
+        "mitsuba": mi.__version__,
+        "variant": args.mode,
+        "resolution": args.resolution,
+        "limits": LIMITS,
+        "cases": [v.as_dict() for v in verdicts],
+    }
+    text = json.dumps(document, indent=1) + "\n"
+    if path == "-":
+        print(text, end="")
+        return
+    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
+        file.write(text)
