@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import duerer_machine
+import lecture_drawings
 import numpy as np
 
 import mitsuba_bezier as mb
@@ -332,7 +333,7 @@ REGRESSION = BezierCurve.from_points(
     [[0.35, 0, 0], [0.45, 0.6, 0.35], [-0.45, 0.6, 0.7], [-0.35, 0, 1.05]]
 )
 #: The planes between which the ribbon is cut.
-RIBBON_PLANES = ((0.0, 0.2, 1, -1.3), (0.0, 0.2, 1, -1.75))
+RIBBON_PLANES = ((0.0, 0.2, 1, -1.17), (0.0, 0.2, 1, -1.75))
 
 
 def ribbon() -> DevelopableSurface:
@@ -382,6 +383,7 @@ def models() -> dict[str, dict[str, BezierTriangles]]:
         "paraboloids": {m.name.replace(" ", "_"): shown(m)[0] for m in paraboloids()},
         "weights": weights(),
         "duerer": duerer_machine.lute() | {"frame": frame(), "table": table()},
+        "relief": lecture_drawings.relief(),
         "developable": {"ribbon": ribbon().patch(*RIBBON_PLANES)},
     }
 
@@ -401,6 +403,14 @@ def main() -> None:
     write_tubes("duerer_strings", (segment(a, b, 0.0025) for a, b in duerer_machine.strings()))
     drawing = duerer_machine.drawn_curves().values()
     write_tubes("duerer_drawing", (tube(c.points, 24, 0.005) for c in drawing))
+    for name, curve, t in lecture_drawings.DRAWINGS:
+        levels = lecture_drawings.scheme(curve, t)
+        shape = tube(lambda x, c=curve: lecture_drawings.standing(c.evaluate(x)), 64, 0.03)
+        write_tubes(f"{name}_curve", [shape])
+        for k, (x, _farin) in enumerate(levels[:-1]):
+            write_tubes(f"{name}_level{k}", (segment(a, b, 0.014) for a, b in pairwise(x)))
+        a, b = levels[-2][0]
+        write_tubes(f"{name}_tangent", [segment(1.9 * a - 0.9 * b, 1.9 * b - 0.9 * a, 0.014)])
     write_tubes("figure2_conics", (tube(c.points, 24, 0.016) for c in figure2_arcs()))
 
 

@@ -242,6 +242,50 @@ def test_threads_pierce_the_drawing():
         assert np.linalg.norm(drawn - pierced, axis=1).min() < 5e-4
 
 
+def test_relief_covers_the_lute():
+    """From the eye, the lute and its relief cover the same pixels, patch by patch."""
+    eye = shot("duerer", 1)
+    relief = make_lecture().lecture_drawings.RELIEF
+    scene = shot("relief").scene
+    parts = {name: shape for shape in scene.shapes() if (name := shape.id()) in machine().lute()}
+    flat = {name: next(s for s in scene.shapes() if s.id() == f"relief_{name}") for name in parts}
+    assert len(parts) == 5
+    x, y = np.meshgrid(np.arange(100.5, 440, 4), np.arange(50.5, 240, 4))
+    ray = eye.rays(np.column_stack([x.ravel(), y.ravel()]))
+    for name, shape in parts.items():
+        si, other = shape.ray_intersect(ray), flat[name].ray_intersect(ray)
+        hit, again = np.array(si.is_valid()), np.array(other.is_valid())
+        assert hit.sum() > 5, name
+        # float32 decides at edges; the thin bridge has few pixels and much edge
+        assert (hit != again).sum() <= 3, name
+        on = hit & again
+        p, q = (np.array(s.p, dtype=np.float64).T[on] for s in (si, other))
+        image = np.c_[p, np.ones(len(p))] @ relief.T
+        # the nearest hits correspond: the relief keeps the order along a ray; float32 at 3 units
+        np.testing.assert_allclose(image[:, :3] / image[:, 3:], q, rtol=0, atol=2e-5)
+
+
+# ---------------------------------------------------------------------- curves on a board
+
+
+def test_drawn_schemes_end_on_their_curves():
+    module = make_lecture().lecture_drawings
+    for name, curve, t in module.DRAWINGS:
+        levels = module.scheme(curve, t)
+        assert [len(points) for points, _farin in levels] == [4, 3, 2, 1]
+        end = levels[-1][0][0]
+        np.testing.assert_allclose(end, module.standing(curve.evaluate(t)), rtol=0, atol=1e-13)
+        # the last leg is the tangent, and every leg was drawn where it belongs
+        a, b = levels[-2][0]
+        np.testing.assert_allclose(np.cross(end - a, b - a), 0, atol=1e-13)
+        for k, (points, _farin) in enumerate(levels[:-1]):
+            values = np.loadtxt(SCENES / "models" / f"{name}_level{k}.txt")
+            net = values[:, :3].reshape(len(points) - 1, 4, 3)
+            # a straight B-spline of one segment begins at its second control point
+            np.testing.assert_allclose(net[:, 1], points[:-1], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(net[:, 2], points[1:], rtol=0, atol=1e-6)
+
+
 # ---------------------------------------------------------------------- one paraboloid
 
 
