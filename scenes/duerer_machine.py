@@ -9,6 +9,7 @@ the projected control points.
 from __future__ import annotations
 
 import numpy as np
+from lecture_tools import boxes
 
 from mitsuba_bezier.geometry import shapes
 from mitsuba_bezier.geometry.collineations import central_projection
@@ -117,8 +118,6 @@ def _sector(center: np.ndarray, arc: np.ndarray) -> np.ndarray:
 
 
 def _box(lower: tuple, upper: tuple) -> BezierTriangles:
-    from make_lecture import boxes
-
     return boxes([lower], [upper])
 
 
