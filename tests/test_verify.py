@@ -73,8 +73,12 @@ def test_silhouettes_are_measured_in_pixels():
 
 def test_command_writes_figures_and_fails_on_bad_input(tmp_path, capsys):
     out = tmp_path / "figures.json"
+    page = tmp_path / "report.html"
     words = ["verify", "sphere-tetrahedral", "lens", "--resolution", "64", "--json", str(out)]
-    assert main(words) == 0
+    assert main([*words, "--html", str(page)]) == 0
+    text = page.read_text()
+    assert "mitsuba-bezier verify lens -m llvm_ad_rgb --resolution 64" in text
+    assert 'src="http' not in text and 'href="http' not in text  # self-contained
     figures = json.loads(out.read_text())
     assert [c["name"] for c in figures["cases"]] == ["sphere-tetrahedral", "lens"]
     assert all(c["passed"] for c in figures["cases"])

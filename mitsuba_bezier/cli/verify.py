@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +19,7 @@ from ..geometry.triangles import BezierTriangles
 
 if TYPE_CHECKING:
     from ..verification.cases import Case
+    from ..verification.report import Entry
     from ..verification.verify import Verdict
 
 __all__ = ["add_parser", "cast", "run"]
@@ -39,6 +41,7 @@ def add_parser(subparsers: Any) -> None:
     add("-m", "--mode", metavar="VARIANT", default="llvm_ad_rgb", help="variant of Mitsuba")
     add("--resolution", metavar="N", type=int, default=1024, help="pixels a side (1024)")
     add("--json", metavar="FILE", help="write the figures; '-' for standard output")
+    add("--html", metavar="FILE", help="write a report to look at, one self-contained page")
 
 
 def _scene(case: Case, net: Path, resolution: int) -> Any:
@@ -121,7 +124,9 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from ..verification.cases import CASES
+    from ..verification.report import write_report
     from ..verification.verify import verify
+    from ..verification.verify_report import verify_entry
 
     names = [c.name for c in CASES]
     if args.list:
@@ -139,7 +144,8 @@ def run(args: argparse.Namespace) -> int:
 
     register()
     console = Console(stderr=args.json == "-")
-    verdicts = []
+    verdicts: list[Verdict] = []
+    entries: list[Entry] = []
     with console.status("") as status:
         for case in CASES:
             if args.cases and case.name not in args.cases:
@@ -147,10 +153,20 @@ def run(args: argparse.Namespace) -> int:
             status.update(f"{case.name} ...")
             hits, o, d = cast(case, args.resolution)
             pixel = math.radians(case.fov) / args.resolution
-            verdicts.append(verify(case, hits, case.truth(o, d), o, d, pixel))
+            truth = case.truth(o, d)
+            verdicts.append(verify(case, hits, truth, o, d, pixel))
+            if args.html:
+                words = ["mitsuba-bezier", "verify", case.name, "-m", args.mode]
+                command = shlex.join([*words, "--resolution", str(args.resolution)])
+                entries.append(verify_entry(verdicts[-1], hits, truth, command))
     _print(console, verdicts)
     if args.json:
         _write(args.json, verdicts, args)
+    if args.html:
+        title = "Patches against analytic surfaces"
+        subtitle = f"Left: the formula in float64. Right: exact patches, {args.mode}."
+        write_report(args.html, entries, title, subtitle, shlex.join(args.argv))
+        console.print(f"report: {args.html}")
     return 0 if all(v.passed for v in verdicts) else 1
 
 

@@ -1,0 +1,133 @@
+"""Verdicts of `verify` as entries of the HTML report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import png, preview
+from .cases import Truth
+from .comparison import Check
+from .report import Entry, Panel, heat_map
+from .verify import LIMITS, Hits, Verdict
+
+__all__ = ["verify_entry"]
+
+#: Pictures of the report are no larger; of the errors in a block of pixels the largest is shown.
+_SIDE = 384
+
+
+def _blocks(values: np.ndarray, side: int, worst: bool) -> np.ndarray:
+    """Reduce a square image ``(side, side, ...)`` to at most `_SIDE` pixels a side."""
+    step = -(-side // _SIDE)
+    side -= side % step
+    cut = values[:side, :side].reshape(side // step, step, side // step, step, *values.shape[2:])
+    return cut.max(axis=(1, 3)) if worst else cut[:, 0, :, 0]
+
+
+def _normals(n: np.ndarray, hit: np.ndarray, side: int) -> np.ndarray:
+    colour = np.where(hit[:, None], n * 0.5 + 0.5, 0.12)
+    picture = np.clip(np.rint(colour * 255), 0, 255).astype(np.uint8)
+    return _blocks(picture.reshape(side, side, 3), side, False)
+
+
+def _depths(t: np.ndarray, near: float, far: float, side: int) -> np.ndarray:
+    # inverse depth: what lies at the horizon is dark, not without bound
+    with np.errstate(divide="ignore"):
+        shade = (1 / t - 1 / far) / (1 / near - 1 / far)
+    shade = np.where(np.isfinite(t), 0.25 + 0.75 * np.clip(shade, 0, 1), 0.0)
+    picture = np.rint(shade * 255).astype(np.uint8).reshape(side, side)
+    return _blocks(np.repeat(picture[..., None], 3, axis=-1), side, False)
+
+
+def _map(title: str, values: np.ndarray, side: int, note: str):
+    grid = _blocks(values.reshape(side, side), side, True)
+    high = float(grid.max()) or 1e-12
+    return heat_map(title, grid, 0.0, high, "magma", note)
+
+
+def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> Entry:
+    """Return the entry of one case.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Its figures.
+    hits, truth : Hits, Truth
+        Of a square image.
+    command : str
+        What repeats the case.
+    """
+    side = round(np.sqrt(verdict.pixels))
+    ours, theirs = np.isfinite(hits.t), np.isfinite(truth.t)
+    both = ours & theirs
+    with np.errstate(invalid="ignore"):
+        error = np.where(both, np.abs(hits.t - truth.t) / np.maximum(truth.t, 1.0), 0.0)
+    facing = np.where((np.einsum("ni,ni->n", hits.n, truth.normals) < 0)[:, None], -1.0, 1.0)
+    turned = facing * truth.normals  # the gradient may point to the other side
+    cross = np.linalg.norm(np.cross(hits.n, turned), axis=1)
+    angle = np.where(both, np.arcsin(np.clip(cross, 0, 1)), 0.0)
+    seen = truth.t[theirs] if theirs.any() else np.array([1.0, 2.0])
+    near, far = float(seen.min()), float(max(np.quantile(seen, 0.99), seen.min() * 1.001))
+
+    depth_checks = [
+        _check("mask", verdict.mask_mismatches, 0),
+        _check("depth max", verdict.depth_max, LIMITS["depth"]),
+        Check("depth 99.9 %", verdict.depth_999, None, True),
+        Check("depth mean", verdict.depth_mean, None, True),
+        _check("position max", verdict.position_max, LIMITS["position"]),
+        _check("uv max", verdict.uv_max, LIMITS["uv"]),
+        Check("silhouette, px", verdict.silhouette_px, None, True),
+    ]
+    normal_checks = [
+        _check("normal max", verdict.normal_max, LIMITS["normal"]),
+        Check("normal 99.9 %", verdict.normal_999, None, True),
+        Check("normal mean", verdict.normal_mean, None, True),
+        _check("turned", verdict.normal_flips, 0),
+    ]
+    a, b = _depths(truth.t, near, far, side), _depths(hits.t, near, far, side)
+    an, bn = _normals(turned, theirs, side), _normals(hits.n, ours, side)
+    size = (a.shape[1], a.shape[0])
+    wrong = (ours != theirs).astype(np.float64)
+    panels = [
+        Panel(
+            "normal",
+            size,
+            png.encode(an),
+            png.encode(bn),
+            "normals, x y z as red green blue; left the formula, right the patches",
+            [_map("angle", angle, side, "angle between the normals, radians; worst of a block")],
+            normal_checks,
+            None,
+            None,
+        ),
+        Panel(
+            "depth",
+            size,
+            png.encode(a),
+            png.encode(b),
+            f"inverse depth, {near:.3g} white to {far:.3g} dark; a miss is black",
+            [
+                _map("depth", error, side, "relative error of the depth; worst of a block"),
+                _map("mask", wrong, side, "one of the two hits, the other misses"),
+            ],
+            depth_checks,
+            None,
+            None,
+        ),
+    ]
+    if any(not c.passed for c in depth_checks):
+        panels.reverse()
+    facts = [("hits", str(int(theirs.sum())), str(int(ours.sum()))), ("side", f"{side} px", "")]
+    return Entry(
+        verdict.name,
+        "pass" if verdict.passed else "fail",
+        panels,
+        "",
+        command,
+        facts,
+        png.encode(preview.thumbnail(bn)),
+    )
+
+
+def _check(name: str, value: float, limit: float) -> Check:
+    return Check(name, float(value), float(limit), value <= limit)
