@@ -61,10 +61,13 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
     ours, theirs = np.isfinite(hits.t), np.isfinite(truth.t)
     both = ours & theirs
     with np.errstate(invalid="ignore"):
-        error = np.where(both, np.abs(hits.t - truth.t) / np.maximum(truth.t, 1.0), 0.0)
+        error = np.where(both, (hits.t - truth.t) / np.maximum(truth.t, 1.0), 0.0)
+    signed = error.reshape(side, side, 1)
+    error = np.abs(error)
     facing = np.where((np.einsum("ni,ni->n", hits.n, truth.normals) < 0)[:, None], -1.0, 1.0)
     turned = facing * truth.normals  # the gradient may point to the other side
     cross = np.linalg.norm(np.cross(hits.n, turned), axis=1)
+    bent = np.where(both[:, None], hits.n - turned, 0.0).reshape(side, side, 3)
     angle = np.where(both, np.arcsin(np.clip(cross, 0, 1)), 0.0)
     seen = truth.t[theirs] if theirs.any() else np.array([1.0, 2.0])
     near, far = float(seen.min()), float(max(np.quantile(seen, 0.99), seen.min() * 1.001))
@@ -97,7 +100,7 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
             "normals, x y z as red green blue; left the formula, right the patches",
             [_map("angle", angle, side, "angle between the normals, radians; worst of a block")],
             normal_checks,
-            None,
+            preview.difference_histogram(bent, ["x", "y", "z"]),
             None,
         ),
         Panel(
@@ -111,7 +114,7 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
                 _map("mask", wrong, side, "one of the two hits, the other misses"),
             ],
             depth_checks,
-            None,
+            preview.difference_histogram(signed, ["depth"]),
             None,
         ),
     ]
