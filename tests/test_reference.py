@@ -274,6 +274,11 @@ def test_a_root_at_infinity_is_no_hit() -> None:
     roots = intersect_all(QUARTER_PLANE, [[0, 0, 1.0]], [[1.0, 1, 0]])
     assert roots.t.tolist() == [np.inf] and roots.inside.all() and roots.horizon[0] < 1e-15
     np.testing.assert_allclose(roots.uv, [[0.5, 0.5]], atol=1e-15)
+    # where u + v is 1 only up to rounding, too
+    angle = np.linspace(0.1, 1.4, 40)
+    d = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    roots = intersect_all(QUARTER_PLANE, np.tile([0.1, -0.2, 1.0], (40, 1)), d)
+    assert roots.inside.all() and (roots.t == np.inf).all() and len(roots.t) == 40
     hits = first_hit(QUARTER_PLANE, [[0, 0, 1.0]] * 3, [[1, 1, 0], [1, 1, -1e-9], [1, 1, 1e-9]])
     assert np.isfinite(hits.t).tolist() == [False, True, False]
     # rounding decides which of the three it is: the margin says so

@@ -174,15 +174,12 @@ def sphere(center: Any, radius: float, origins: Any, directions: Any) -> Analyti
     unit = d / length[:, None]
     p = o - c
     middle = -np.einsum("ni,ni->n", p, unit)
-    # twice: the second pass removes the rounding of the first, which a far origin makes large
     foot = p + middle[:, None] * unit
-    rest = -np.einsum("ni,ni->n", foot, unit)
-    foot += rest[:, None] * unit
     distance = np.linalg.norm(foot, axis=1)
     clearance = (distance - r) / r
     half = np.sqrt(np.maximum((r - distance) * (r + distance), 0.0))[:, None] * [-1.0, 1.0]
     hit = (clearance <= 0)[:, None]
-    t = np.where(hit, ((middle + rest)[:, None] + half) / length[:, None], np.inf)
+    t = np.where(hit, (middle[:, None] + half) / length[:, None], np.inf)
     normals = (foot[:, None] + half[..., None] * unit[:, None]) / r
     return AnalyticHits(t, np.where(hit[..., None], normals, 0.0), clearance)
 

@@ -114,7 +114,8 @@ def describe(
     bound = np.einsum("rk,rk->r", basis, patches.size[patch])
     distance = np.linalg.norm(o, axis=1)
     bound += weights * distance
-    at_infinity = np.abs(w) <= NOISE * weights
+    # against the largest weight: it is the parameters whose rounding counts
+    at_infinity = np.abs(w) <= NOISE * np.abs(nets.weights).max(axis=1)[patch]
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.einsum("rc,rc->r", shifted[:, 0], rays.unit[ray]) / (w * rays.length[ray])
         scale = np.where(at_infinity, np.inf, bound / np.abs(w))
