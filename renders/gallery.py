@@ -1,0 +1,146 @@
+"""Make all pictures of this folder, the verification report and the index page.
+
+    python renders/gallery.py              everything (about half an hour on two cores)
+    python renders/gallery.py NAME ...     some pictures, and the index
+    python renders/gallery.py --index      the index page alone
+
+Each picture is a PNG to look at and a small EXR, half float, as reference; the header of the EXR
+holds the command that made it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture: its scene, the size of the PNG, and what it shows."""
+
+    name: str
+    scene: str
+    width: int
+    height: int
+    spp: int
+    caption: str
+    options: tuple[str, ...] = ()
+
+    def command(self, output: str, width: int, height: int, spp: int) -> list[str]:
+        """Return the words of a render command."""
+        size = ["-D", f"width={width}", "-D", f"height={height}", "--spp", str(spp)]
+        return ["render", "-q", f"scenes/{self.scene}.xml", "-o", output, *size, *self.options]
+
+    def preview(self) -> list[str]:
+        """Return the command of the PNG."""
+        return self.command(f"{self.name}.exr", self.width, self.height, self.spp)
+
+    def reference(self) -> list[str]:
+        """Return the command of the EXR, 256 pixels wide or as many pixels in all."""
+        width = 256 if 2 * self.height >= self.width else 320
+        height = round(width * self.height / self.width / 2) * 2
+        return self.command(f"renders/{self.name}.exr", width, height, 128)
+
+
+PICTURES = (
+    Picture("quadrics", "quadrics", 640, 360, 512, "All quadrics and a torus, exact, on one floor"),
+    Picture("sphere", "sphere", 640, 360, 512, "Both covers of the sphere, in glass and in metal"),
+    Picture("cornell", "cornell", 384, 384, 1024, "Glass ball and torus in a Cornell box"),
+    Picture("railroad", "railroad", 512, 288, 256, "A plane to the horizon; rails to infinity"),
+    Picture("duerer", "duerer", 512, 288, 256, "Dürer's machine: threads through a frame"),
+    Picture("duerer_eye", "duerer", 512, 288, 256, "The same from the eye point", ("-s", "1")),
+    Picture("figure2", "figure2", 512, 288, 256, "Four triangles and six lunes tile the sphere"),
+    Picture("paraboloids", "paraboloids", 512, 288, 256, "Quadrics as images of one paraboloid"),
+    Picture("weights", "weights", 640, 240, 256, "One weight from large through zero to negative"),
+    Picture("developable", "developable", 512, 288, 256, "A developable and its regression curve"),
+    Picture("decasteljau", "decasteljau", 512, 288, 256, "De Casteljau's scheme of a cubic"),
+    Picture("farin", "farin", 512, 288, 256, "Farin points: evaluation by cross ratios"),
+    Picture("relief", "relief", 512, 288, 256, "Relief perspective of a lute"),
+)
+
+
+def mitsuba_bezier(*words: str) -> None:
+    """Run the command line of this checkout."""
+    print("+ mitsuba-bezier", shlex.join(words), flush=True)
+    subprocess.run([sys.executable, "-m", "mitsuba_bezier.cli.main", *words], cwd=ROOT, check=True)
+
+
+def make(picture: Picture) -> None:
+    """Render one picture; what is there stays until the new one is finished."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = picture.preview()
+        words[words.index("-o") + 1] = str(Path(folder) / f"{picture.name}.exr")
+        mitsuba_bezier(*words)
+        mitsuba_bezier(*picture.reference())  # writes a PNG of its own size, too
+        shutil.move(Path(folder) / f"{picture.name}.png", HERE / f"{picture.name}.png")
+
+
+def index() -> str:
+    """Return the index page: thumbnails, captions, commands."""
+    items = []
+    for p in PICTURES:
+        if not (HERE / f"{p.name}.png").exists():
+            continue
+        words = html.escape("mitsuba-bezier " + shlex.join(p.preview()))
+        items.append(
+            f'<figure><a href="{p.name}.png"><img src="{p.name}.png" alt="{html.escape(p.caption)}"'
+            f' loading="lazy"></a><figcaption><b>{p.name}</b> {html.escape(p.caption)} '
+            f'<a href="{p.name}.exr">EXR</a><code>{words}</code></figcaption></figure>'
+        )
+    return _PAGE.replace("@@", "\n".join(items))
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>mitsuba_bezier: pictures</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+:root { color-scheme: light dark; }
+body { font: 16px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem;
+  padding: 0 1rem; }
+main { display: grid; gap: 1.6rem; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); }
+figure { margin: 0; } img { width: 100%; aspect-ratio: 16/9; object-fit: contain;
+  background: #8884; border-radius: .4rem; }
+code { display: block; font-size: .75rem; overflow-wrap: anywhere; opacity: .75;
+  margin-top: .3rem; }
+</style></head><body>
+<h1>Pictures from exact patches</h1>
+<p>Each is made by the command below it; <code>python renders/gallery.py</code> makes all of them.
+The <a href="verification.html">verification report</a> holds the intersections against
+formulas.</p>
+<main>
+@@
+</main></body></html>
+"""
+
+
+def main() -> None:
+    """Make what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="pictures to make; all by default")
+    parser.add_argument("--index", action="store_true", help="write the index page only")
+    args = parser.parse_args()
+    known = {p.name: p for p in PICTURES}
+    unknown = [n for n in args.names if n not in known]
+    if unknown:
+        parser.error(f"NAME: expected one of {', '.join(known)}, got {unknown[0]}")
+    if not args.index:
+        for name in args.names or known:
+            make(known[name])
+        if not args.names:
+            words = ["--resolution", "384", "--html", "renders/verification.html"]
+            mitsuba_bezier("verify", *words)
+    (HERE / "index.html").write_text(index(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
