@@ -20,9 +20,9 @@ __all__ = ["CASES", "Case", "Surface", "Truth"]
 Points = np.ndarray
 
 #: Hits so far over a rim still belong to the patch: `kernels.quadric.EDGE`, 1e-6 in barycentrics
-#: (and a tenth of it over the cosine), times how far a unit of the parameters reaches on these
-#: patches. It is what keeps common edges closed, and silhouettes have nothing of it.
-RIM = 4e-6
+#: (and a tenth of it over the cosine), times ten, which is how far a unit of the parameters
+#: reaches on these patches. It keeps common edges closed; silhouettes have nothing of it.
+RIM = 1e-5
 
 
 class Truth(NamedTuple):
