@@ -114,16 +114,17 @@ def _planar_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _least_sum(rows: np.ndarray, shift: np.ndarray, nets: np.ndarray, n: int) -> np.ndarray:
-    """Return half the smallest ``|sum of rows . (p - shift, 1)|`` among samples of each patch.
+    """Return half a lower bound of ``|sum of rows . (p - shift, 1)|`` over each patch.
 
-    The sum is a linear form over the weight, so the samples come near its minimum.
+    The sum is ``l(u) / w(u)``: `l` is linear, so least at a corner, and `w` within its
+    coefficients.
     """
-    h = bernstein.basis(n, bernstein.multi_indices(12)[:, :2] / 12.0) @ nets
-    h[..., :3] -= h[..., 3:] * shift[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value = np.abs(np.einsum("lrc,lsc->ls", rows, h) / h[..., 3])
-    value = 0.5 * np.where(np.isfinite(value), value, np.inf).min(axis=1)
-    return np.where(np.isfinite(value), value, 0.0)
+    corners = nets[:, bernstein.corner_rows(n)].copy()
+    corners[..., :3] -= corners[..., 3:] * shift[:, None]
+    ell = np.einsum("lrc,lkc->lk", rows, corners)
+    one_sign = (ell > 0).all(axis=1) | (ell < 0).all(axis=1)
+    weight = np.abs(nets[..., 3]).max(axis=1)
+    return np.where(one_sign, 0.5 * np.abs(ell).min(axis=1) / weight, 0.0)
 
 
 def _tight_boxes(patches: BezierTriangles, levels: int = 3) -> np.ndarray:

@@ -31,11 +31,15 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
     for depth in range(settings.max_depth + 1):
         leaves, good = _graph_leaves(nets, domain, patch, settings)
         yield leaves.select(good)
-        last = ~good & (_below_float32(leaves.box) | _over_budget(patch, good))
+        singular = _singular_corner(nets)
+        last = ~good & (_below_float32(leaves.box, singular >= 0) | _over_budget(patch, good))
         if depth == settings.max_depth:
             last = ~good
         if last.any():
-            yield _crumbs(nets[last], domain[last], patch[last], settings)
+            for tip in range(-1, 3):
+                part = last & (singular == tip)
+                if part.any():
+                    yield _crumbs(nets[part], domain[part], patch[part], settings, tip)
         rest = ~good & ~last
         if not rest.any():
             return
@@ -70,7 +74,27 @@ _BUDGET = 20000
 _OVERLAP = 1.03
 
 
-def _below_float32(box: np.ndarray) -> np.ndarray:
+def _singular_corner(nets: np.ndarray) -> np.ndarray:
+    """Return the corner 0, 1, 2 at which the partials of a net vanish or are parallel, or -1."""
+    n = bernstein.degree_of(nets.shape[1])
+    with np.errstate(all="ignore"):
+        p = _affine(nets)
+        areas = []
+        for c in range(3):
+            ijk = np.zeros((3, 3), dtype=int)
+            ijk[:, c] = n - 1
+            ijk[range(3), range(3)] += 1
+            q = p[:, [bernstein.row(n, i, j) for i, j, _k in ijk.tolist()]]
+            arms = q - q[:, [c]]
+            area = np.cross(arms[:, (c + 1) % 3], arms[:, (c + 2) % 3])
+            areas.append(np.linalg.norm(area, axis=1))
+        area = np.stack(areas, axis=1)
+        # 1e-3: the least of a leaf beside the singular corner is some hundredth of the largest
+        found = (area < 1e-3 * area.max(axis=1, keepdims=True)).sum(axis=1) == 1
+    return np.where(found, np.argmin(area, axis=1), -1)
+
+
+def _below_float32(box: np.ndarray, singular: np.ndarray) -> np.ndarray:
     """Tell which leaves are too small to have a chart in float32, whose origin is rounded.
 
     They lie at singular corners such as the apex of a cone. Further cuts could not make them
@@ -78,8 +102,9 @@ def _below_float32(box: np.ndarray) -> np.ndarray:
     """
     with np.errstate(invalid="ignore"):
         size = (box[:, 1] - box[:, 0]).max(axis=1)
-        # 3e-6: some fifty roundings of the origin
-        return size < 3e-6 * np.abs(box).max(axis=(1, 2))
+        # 3e-6: some fifty roundings of the origin. At the singular corner itself 3e-5, so that
+        # the leaves around it, a tenth as large, are not too small
+        return size < np.where(singular, 3e-5, 3e-6) * np.abs(box).max(axis=(1, 2))
 
 
 def _over_budget(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
@@ -92,17 +117,20 @@ def _over_budget(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 
 def _crumbs(
-    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings, corner: int
 ) -> Leaves:
     """Return planar leaves in place of those that cannot be made good.
 
-    Each is cut into 16 planar triangles through its own points. At a singular corner they are
-    a millionth of the scene and exact to a hundredth of that; where a patch went over its
-    budget they are what `docs/intersection.md` calls the unguaranteed case.
+    Each is cut into 16 planar triangles through its own points; where a patch went over its
+    budget they are what `docs/intersection.md` calls the unguaranteed case. A leaf with a
+    singular `corner` is cut into 32 triangles around that corner, which is what a cone is: at
+    3e-5 of the scene they are off by 1e-8 of it.
     """
     n = bernstein.degree_of(nets.shape[1])
     four = np.einsum("aij,bjk->abik", bernstein.SPLIT_CORNERS, bernstein.SPLIT_CORNERS)
     corners = four.reshape(-1, 3, 3)  # rows: barycentrics of the corners of each triangle
+    if corner >= 0:
+        corners = _around(corner)
     points = np.einsum("trk,pkc->ptrc", bernstein.basis(n, corners[..., :2]), nets)
     points = points.reshape(-1, 3, 4)
     w = points[..., 3:]
@@ -115,6 +143,17 @@ def _crumbs(
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
     leaves, good = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
     return leaves.select(good)  # what is not good has no area, and no ray meets it
+
+
+def _around(corner: int, count: int = 32) -> np.ndarray:
+    """Return barycentrics ``(count, 3, 3)`` of the corners of triangles around one corner."""
+    s = np.arange(count + 1) / count
+    edge = np.zeros((count + 1, 3))
+    edge[:, (corner + 1) % 3], edge[:, (corner + 2) % 3] = 1 - s, s
+    out = np.zeros((count, 3, 3))
+    out[:, 0, corner] = 1.0
+    out[:, 1], out[:, 2] = edge[:-1], edge[1:]
+    return out
 
 
 def _affine(net: np.ndarray) -> np.ndarray:

@@ -14,8 +14,9 @@ from .structure import DOMAIN, NODE, Structure
 
 __all__ = ["Hit", "intersect"]
 
-#: Slabs are widened by two roundings a face (Ize, "Robust BVH Ray Traversal", 2013).
-_GROW = 1.0 + 4.0 * 6e-8
+#: Slabs are widened by four roundings a face: of the difference, the product and, two, of the
+#: reciprocal (Ize, "Robust BVH Ray Traversal", 2013, who has three).
+_GROW = 1.0 + 8.0 * 6e-8
 
 
 class Hit(NamedTuple):
