@@ -347,6 +347,9 @@ def test_range_of_t() -> None:
     # 1e-6 of t is 2e-6 of length; the scale is that of the root in question, about 3.5
     np.testing.assert_allclose(margin.range, 2e-6 / 3.5, rtol=0.3)
     assert not margin.decidable(1e-6)[0] and margin.decidable(1e-7, boundary=False)[0]
+    # nobody looked for near misses in a band of 1e-4
+    assert not first_hit(nets, o, d).margin.decidable(1e-4)[0]
+    assert first_hit(nets, o, d, band=1e-4).margin.decidable(1e-4)[0]
 
 
 def test_offset_and_length_of_the_direction_do_not_matter() -> None:
@@ -363,6 +366,20 @@ def test_offset_and_length_of_the_direction_do_not_matter() -> None:
     # a power of two is exact in every step of the solution but the length
     scaled = first_hit(nets, o, 8 * d)
     np.testing.assert_allclose(same(8 * scaled.t, plain.t), 0, atol=1e-14)
+
+
+def test_from_afar_less_is_decided() -> None:
+    rng = np.random.default_rng(12)
+    o, d = rays(rng, 1000, distance=1e4)
+    exact = analytic.sphere((0, 0, 0), 1, o, d)
+    hits = first_hit(sphere(), o, d)
+    clear = np.abs(exact.clearance) > 1e-10  # rounding of 1e4 is 2e-12
+    assert np.array_equal(np.isfinite(hits.t)[clear], np.isfinite(exact.first())[clear])
+    # a hundredth of the patch's size of some 0.8, or more, over 1e4; rays far off keep the band
+    near = exact.clearance < 0
+    assert (hits.margin.resolved[near] > 5e-7).all() and (hits.margin.resolved[near] < 2e-6).all()
+    # 3e-7 of 1e4 moves the line by 3e-3 of the radius: about the share of rays left out
+    assert 0.9 < hits.margin.decidable(3e-7, boundary=False).mean() < 0.999
 
 
 def test_edge_margin_of_hits_and_of_misses() -> None:
@@ -384,7 +401,7 @@ def test_edge_margin_of_hits_and_of_misses() -> None:
 def test_rays_without_any_patch_nearby() -> None:
     hits = first_hit(sphere(), [[5.0, 5, 5]] * 2, [[1.0, 0, 0]] * 2)
     assert np.isinf(hits.t).all() and (hits.patch == -1).all() and (hits.uv == 0).all()
-    assert hits.margin.decidable(1e-3).all() and np.isinf(hits.margin.edge).all()
+    assert hits.margin.decidable(1e-5).all() and np.isinf(hits.margin.edge).all()
     none = intersect_all(sphere(), np.zeros((0, 3)), np.zeros((0, 3)))
     assert len(none.t) == 0
 

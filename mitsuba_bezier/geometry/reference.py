@@ -42,6 +42,9 @@ class Margin(NamedTuple):
         ``|cos|`` of the angle between ray and normal at the hit; ``inf`` for a miss.
     scale : (N,) array
         Length that relative changes refer to, at the hit; ``inf`` for a miss.
+    resolved : (N,) array
+        Relative change up to which near misses were looked for: the `band` of `first_hit`,
+        or less for rays that start far away.
     certain : (N,) bool array
         No tangent or unresolved root can change the answer.
     """
@@ -52,6 +55,7 @@ class Margin(NamedTuple):
     range: np.ndarray
     cosine: np.ndarray
     scale: np.ndarray
+    resolved: np.ndarray
     certain: np.ndarray
 
     def decidable(self, eps: float, edge: float = 0.0, boundary: bool = True) -> np.ndarray:
@@ -60,14 +64,14 @@ class Margin(NamedTuple):
         Parameters
         ----------
         eps : float
-            Relative precision, for float32 a few times 6e-8.
+            Relative precision, for float32 a few times 6e-8; at most the `band`.
         edge : float
             Band along patch boundaries, in parameters.
         boundary : bool
             Whether boundaries matter. They do not on a closed cover whose patches meet
             smoothly: there the neighbour catches the ray.
         """
-        out = self.certain & (self.graze > eps) & (self.range > eps)
+        out = self.certain & (self.graze > eps) & (self.range > eps) & (self.resolved >= eps)
         return out & (self.edge_shift > eps) & (self.edge >= edge) if boundary else out
 
 
@@ -109,7 +113,7 @@ def candidates(
         of these are returned twice.
     band : float
         How far away, relative to ``M``, near misses are looked for; never more than a
-        thousandth of the patch's size.
+        hundredth of the patch's size.
 
     Returns
     -------
@@ -121,13 +125,21 @@ def candidates(
     GeometryError
         If the rays have the wrong shape, are not finite, or a direction is zero.
     """
-    rays = Rays(origins, directions)
+    return _search(nets, Rays(origins, directions), extend, band)[0]
+
+
+def _search(
+    nets: BezierTriangles, rays: Rays, extend: float, band: float
+) -> tuple[Intersections, np.ndarray]:
+    """Return the candidates, sorted, and the band in which near misses were found, by ray."""
     patches = Patches(nets, extend)
     block = max(1024, 2**20 // nets.control_points.shape[1])
+    resolved = np.full(len(rays.o), band)
     found = []
     for ray, patch, f, bound in problems(patches, rays, block, band):
-        # a thousandth of the patch: from far away a band wider than the patch tells nothing
-        width = np.minimum(band * bound, 1e-3 * patches.size[patch].max(axis=1))
+        # a hundredth of the patch: a band as wide as the patch would tell nothing
+        width = np.minimum(band * bound, 1e-2 * patches.size[patch].max(axis=1))
+        np.minimum.at(resolved, ray, width / bound)
         roots: Roots = common_roots(f, bound, margin=extend, band=width)
         found.append(
             describe(patches, rays, ray[roots.problem], patch[roots.problem], roots.uv, roots.kind)
@@ -136,7 +148,7 @@ def candidates(
         none = np.zeros(0, dtype=np.int64)
         found.append(describe(patches, rays, none, none, np.zeros((0, 2)), none))
     out = Intersections(*(np.concatenate(column) for column in zip(*found)))
-    return out.select(np.lexsort((out.t, out.ray)))
+    return out.select(np.lexsort((out.t, out.ray))), resolved
 
 
 def intersect_all(
@@ -199,7 +211,7 @@ def first_hit(
         `Margin.edge`.
     band : float
         How far away, relative to ``M``, near misses count for `Margin.graze`; never more than
-        a thousandth of the patch's size.
+        a hundredth of the patch's size.
 
     Returns
     -------
@@ -210,8 +222,9 @@ def first_hit(
     GeometryError
         If the rays have the wrong shape, are not finite, or a direction is zero.
     """
-    all_ = candidates(nets, origins, directions, extend=extend, band=band)
-    length = Rays(origins, directions).length
+    rays = Rays(origins, directions)
+    all_, resolved = _search(nets, rays, extend, band)
+    length = rays.length
     count = len(length)
     finite = np.isfinite(all_.t)
     root = all_.inside & (all_.kind >= 0)
@@ -257,6 +270,7 @@ def first_hit(
         range=border,
         cosine=cosine,
         scale=scale,
+        resolved=resolved,
         certain=np.bincount(all_.ray[doubtful], minlength=count) == 0,
     )
     return FirstHits(t, patch, uv, margin)
