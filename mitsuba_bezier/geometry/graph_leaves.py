@@ -291,6 +291,9 @@ def _fit_charts(
 #: Safety factor on bounds taken from samples: the quantities are smooth on a leaf, and 21
 #: samples of a function whose third-order part is below ``remainder`` miss a few per cent.
 _SAFETY = 1.25
+#: ... and on the remainder, a difference from a fit, which peaks between the samples and grows
+#: with the third power towards the corners of the enlarged triangle.
+_SAFETY_REMAINDER = 2.0
 
 
 #: The enlarged triangles on which bounds are sampled, by the largest margin they serve.
@@ -381,7 +384,8 @@ def _bounds_of_size(chart: np.ndarray, margin: float, n: int) -> tuple[np.ndarra
     height = np.abs(z).max(axis=1)
     return (
         lateral,
-        _SAFETY * remainder + 1e-7,  # 1e-7: what float32 makes of a chart coordinate near one
+        # 1e-7: what float32 makes of a chart coordinate near one
+        _SAFETY_REMAINDER * remainder + 1e-7,
         _SAFETY * variation + 1e-6,
         _SAFETY * bending,
         fitted.transpose(0, 2, 1).reshape(-1, 9),

@@ -84,7 +84,7 @@ class LeafSettings:
     """
 
     lateral: float = 0.5
-    remainder: float = 0.03
+    remainder: float = 0.045
     height: float = 0.25
     weight: float = 0.3
     max_depth: int = 15
