@@ -61,7 +61,9 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
                 caps, inner = fan(nets[i], int(corner[i]), end)
                 if len(caps):
                     number = np.full(len(caps), patch[i])
-                    yield _graph_leaves(caps, domain[i] @ inner, number, settings)[0]
+                    closing = _graph_leaves(caps, domain[i] @ inner, number, settings)[0]
+                    closing.certified[:] = False  # planar: not quite the surface
+                    yield closing
         nets = np.concatenate([p[0] for p in parts])
         domain = np.concatenate([p[1] for p in parts])
         patch = np.concatenate(numbers)
@@ -142,6 +144,7 @@ def _crumbs(
         points = bernstein.elevation_matrix(m) @ points
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
     leaves, good = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
+    leaves.certified[:] = False
     return leaves.select(good)  # what is not good has no area, and no ray meets it
 
 

@@ -103,7 +103,7 @@ class Leaves:
     form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric, `LEAST`)
     net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1); zero for exact leaves
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
-    certified: np.ndarray  #: (L,) bool: the bounds of the settings hold
+    certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold
     group: np.ndarray  #: (L,) exact leaves with the same number share their quadric; else -1
 
     def __len__(self) -> int:
