@@ -33,16 +33,20 @@ def _coherent(count: int) -> tuple[np.ndarray, np.ndarray]:
     return toward(np.array([0, 0, 3.5]), target)
 
 
-def spheres(rng: Rng, scale: float) -> Iterator[Line]:
+#: Covers, and how they are cut into leaves.
+COVERS = (
+    ("tetrahedral", None),
+    ("octants", None),
+    ("lunes", None),
+    ("tetrahedral", GENERAL),
+)
+
+
+def spheres(rng: Rng, scale: float, covers: tuple = ()) -> Iterator[Line]:
     """Both covers of the sphere, coherent and random rays, beside Mitsuba's own sphere."""
     mi.set_variant(VARIANT)
     native = mi.load_dict({"type": "scene", "sphere": {"type": "sphere"}})
-    for cover, settings in (
-        ("tetrahedral", None),
-        ("octants", None),
-        ("lunes", None),
-        ("tetrahedral", GENERAL),
-    ):
+    for cover, settings in covers or COVERS:
         tracer = Tracer(mb.sphere(cover=cover), settings)
         for kind, full in (("coherent", 4_000_000), ("random", 2_000_000)):
             count = scaled(full, scale)
@@ -96,13 +100,13 @@ def _around(rng: Rng, normals: np.ndarray) -> np.ndarray:
     return wanted[:, None] * normals + np.sqrt(1 - wanted**2)[:, None] * across
 
 
-def leaving(rng: Rng, scale: float) -> Iterator[Line]:
+def leaving(rng: Rng, scale: float, places: tuple = PLACES) -> Iterator[Line]:
     """Rays spawned from hits: none outwards may hit again, all inwards hit the other side."""
     mi.set_variant(VARIANT)
     count = scaled(2**16, scale)
     for cover in ("tetrahedral", "octants"):
         net = mb.sphere(cover=cover).control_points.astype(np.float32)
-        for offset, size in PLACES:
+        for offset, size in places:
             center = offset * np.array([1.0, -1.0, 1.0])
             shape = mi.load_dict(
                 {

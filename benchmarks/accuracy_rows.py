@@ -99,9 +99,11 @@ def _covers():
     )
 
 
-def leaks(rng: Rng, scale: float) -> Iterator[Line]:
+def leaks(rng: Rng, scale: float, only: tuple[str, ...] = ()) -> Iterator[Line]:
     """Closed covers from inside, at shared edges and at corners, closest and any hit."""
     for name, patches, settings, inside in _covers():
+        if only and name not in only:
+            continue
         tracer = Tracer(patches, settings)
         count = scaled(2_000_000, scale)
         o = inside(rng, count)
