@@ -26,6 +26,7 @@ __all__ = [
     "load_groups",
     "read",
     "save",
+    "writer_options",
 ]
 
 #: Suffix to the module and function that read it; modules are imported when they are needed.
@@ -44,6 +45,8 @@ _READERS = {
     ".stp": "cad.read",
     ".vtu": "vtu.read",
 }
+#: Options of the writers, by suffix.
+_OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding",)}
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}
 
 
@@ -104,6 +107,22 @@ def load_groups(path: str | PathLike[str]) -> list[BezierTriangles]:
     return model.groups
 
 
+def writer_options(path: str | PathLike[str], options: dict[str, Any]) -> None:
+    """Raise `FileFormatError` if a file cannot be written because of its name or an option."""
+    _function(path, _WRITERS, "written")
+    known = _OPTIONS.get(Path(path).suffix.lower(), ())
+    for name in options:
+        if name not in known:
+            raise FileFormatError.expected(
+                name, f"no such option for {Path(path).suffix} files", repr(options[name])
+            )
+    folder = Path(path).parent
+    if not folder.is_dir():
+        raise FileFormatError.expected(
+            "path", "a file in a folder that exists", f"{str(path)!r}: no folder {folder}"
+        )
+
+
 def save(
     triangles: BezierTriangles | list[BezierTriangles], path: str | PathLike[str], **options: Any
 ) -> None:
@@ -121,6 +140,8 @@ def save(
     Raises
     ------
     FileFormatError
-        If the suffix is unknown, the folder does not exist or the format cannot hold the nets.
+        If the suffix is unknown, the folder does not exist, an option does not fit the format
+        or the format cannot hold the nets.
     """
+    writer_options(path, options)
     _function(path, _WRITERS, "written")(triangles, path, **options)

@@ -8,7 +8,7 @@ Every face is converted exactly, or reported:
 * A plane face with other boundaries is filled with curved plane triangles (`plane_regions`).
 * Other faces trimmed by curves are restricted to curved triangles of their parameter plane
   (`trimmed_patches`): the surface is exact; the trimming curve is, too, if it is a conic on a
-  NURBS surface, and else replaced by parabolas within 2e-6 of the size of the face.
+  NURBS surface, and else replaced by parabolas within 1e-5 of the size of the face.
 
 Lengths are those of the file in millimetres, as OpenCASCADE converts them.
 """
@@ -16,7 +16,6 @@ Lengths are those of the file in millimetres, as OpenCASCADE converts them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import comb
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +26,7 @@ from ..errors import FileFormatError
 from ..geometry import bernstein
 from .files import damaged, read_bytes
 from .nurbs import curve_to_bezier, surface_to_bezier
+from .nurbs_surface import bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .report import Collector, Model
 from .tensor_nets import tensor_nets
@@ -34,6 +34,8 @@ from .trimmed_patches import fit_parabolas, trimmed_patches
 from .trims import rectangles, rectilinear
 
 __all__ = ["read"]
+
+_SAMPLES = np.linspace(0, 1, 17)
 
 _SIGNATURES = {
     ".step": (b"ISO-10303-21", "a STEP file"),
@@ -160,7 +162,8 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str) -> list[np.nd
     surface = occ.brep.BRep_Tool.Surface_s(face)
     while isinstance(surface, occ.geom.Geom_RectangularTrimmedSurface):
         surface = surface.BasisSurface()
-    curves = _trims(occ, face)
+    edge_curves = _trims(occ, face)
+    curves = [curve for edge in edge_curves for curve in edge]
     kind = type(surface).__name__.removeprefix("Geom_")
     if not curves:
         bounds = surface.Bounds()
@@ -170,6 +173,7 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str) -> list[np.nd
         corners = np.array([[u0, v0], [u1, v0], [u1, v1], [u0, v1]])
         curves = [np.stack([a, b]) for a, b in zip(corners, np.roll(corners, -1, axis=0))]
         curves = [np.pad(c, ((0, 0), (0, 1)), constant_values=1.0) for c in curves]
+        edge_curves = [c[None] for c in curves]
     if any((c[:, 2] <= 0).any() for c in curves):
         return "trimmed by curves with weights that are not positive"
     points = [c[:, :2] / c[:, 2:] for c in curves]
@@ -184,7 +188,7 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str) -> list[np.nd
         if isinstance(surface, occ.geom.Geom_Plane):
             found = _plane_region(surface, curves, extent)
         else:
-            found = _curved_region(occ, surface, curves)
+            found = _curved_region(occ, surface, edge_curves)
         if isinstance(found, str):
             return f"{kind}: {found}"
         return [_orient(net, turned) for net in found]
@@ -206,7 +210,7 @@ def _orient(nets: np.ndarray, turned: bool) -> np.ndarray:
 
 
 def _trims(occ: Any, face: Any) -> list[np.ndarray]:
-    """Return the edges of a face as rational Bézier curves ``(n+1, 3)`` in (u, v)."""
+    """Return the edges of a face as chains of rational Bézier curves ``(S, n+1, 3)`` in (u, v)."""
     out = []
     for item in _explore(occ, face, occ.abs.TopAbs_EDGE):
         edge = occ.edge(item)
@@ -216,7 +220,7 @@ def _trims(occ: Any, face: Any) -> list[np.ndarray]:
         first, last = adaptor.FirstParameter(), adaptor.LastParameter()
         curve = occ.geom2d.Geom2d_TrimmedCurve(adaptor.Curve(), first, last)
         spline = occ.convert2d.CurveToBSplineCurve_s(curve)
-        out += list(_curve(spline))
+        out.append(_curve(spline))
     return out
 
 
@@ -303,9 +307,9 @@ def _plane_region(
     return [(net @ frame)[None] for net in nets]
 
 
-def _curved_region(occ: Any, surface: Any, curves: list[np.ndarray]) -> list[np.ndarray] | str:
-    """Restrict a curved face to its trimming curves."""
-    flat = np.concatenate([_sample(c) for c in curves])
+def _curved_region(occ: Any, surface: Any, edges: list[np.ndarray]) -> list[np.ndarray] | str:
+    """Restrict a curved face to its trimming curves, chains ``(S, n+1, 3)``."""
+    flat = np.concatenate([bezier_points(c, _SAMPLES) for edge in edges for c in edge])
     box = np.stack([flat.min(axis=0), flat.max(axis=0)], axis=1)
     box += (box[:, 1:] - box[:, :1]) * [-1e-9, 1e-9]
     spline = _spline(occ, surface, box)
@@ -320,16 +324,16 @@ def _curved_region(occ: Any, surface: Any, curves: list[np.ndarray]) -> list[np.
     ]
     scale = np.array(lengths) / np.maximum(box[:, 1] - box[:, 0], 1e-300)
     out: list[np.ndarray] = []
-    for curve in curves:
-        if place is None and len(curve) <= 3:
-            out.append(standard(curve))
+    for edge in edges:
+        if place is None and edge.shape[1] <= 3:
+            out += [standard(curve) for curve in edge]
             continue
 
-        def evaluate(t: np.ndarray, curve: np.ndarray = curve) -> np.ndarray:
-            uv = _sample(curve, t)
+        def evaluate(t: np.ndarray, edge: np.ndarray = edge) -> np.ndarray:
+            uv = _chain_points(edge, t)
             return uv if place is None else place(uv)
 
-        fitted = fit_parabolas(evaluate, scale, 2e-6 * size)
+        fitted = fit_parabolas(evaluate, scale, 1e-5 * size, max(2, len(edge) // 4))
         if fitted is None:
             return "trimmed by a curve that parabolas cannot follow"
         out += fitted
@@ -343,13 +347,14 @@ def _curved_region(occ: Any, surface: Any, curves: list[np.ndarray]) -> list[np.
     return trimmed_patches(spline.net, spline.knots, spline.degrees, closed)
 
 
-def _sample(curve: np.ndarray, t: np.ndarray | None = None) -> np.ndarray:
-    """Return points of a Bézier curve in (u, v)."""
-    t = np.linspace(0, 1, 17) if t is None else t
-    n = len(curve) - 1
-    basis = np.stack([comb(n, i) * t**i * (1 - t) ** (n - i) for i in range(n + 1)], axis=1)
-    h = basis @ curve
-    return h[:, :2] / h[:, 2:]
+def _chain_points(edge: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Return points of a chain of Bézier curves, run through for t in [0, 1]."""
+    at = np.clip(t, 0, 1) * len(edge)
+    piece = np.minimum(at.astype(int), len(edge) - 1)
+    out = np.empty((len(t), 2))
+    for k in np.unique(piece):
+        out[piece == k] = bezier_points(edge[k], at[piece == k] - k)
+    return out
 
 
 def _identity(x: np.ndarray) -> np.ndarray:

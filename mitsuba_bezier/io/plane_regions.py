@@ -19,7 +19,7 @@ from .polygons import crossing, signed_area, triangulate
 __all__ = ["chain", "curved_triangle", "join_ends", "region_to_triangles", "standard"]
 
 _MAX_ROUNDS = 12
-_MAX_PIECES = 4000
+_MAX_PIECES = 2000
 _HOPELESS = -1  # in place of the id of a curve: no cut can help
 
 
@@ -269,15 +269,26 @@ def _fill_region(pieces: list[list[np.ndarray]], quality: float) -> list[np.ndar
     return None
 
 
-def _curve_area(curve: np.ndarray) -> float:
-    """Return the integral of ``(x dy - y dx) / 2`` along a curve, by a Gauss rule."""
+@cache
+def _gauss_rule(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return Bernstein polynomials of degree n and n - 1 at ten Gauss points, and weights."""
     t, weight = np.polynomial.legendre.leggauss(10)
     t, weight = (t + 1) / 2, weight / 2
-    n = len(curve) - 1
-    h, d = (
-        np.stack([comb(m, i) * t**i * (1 - t) ** (m - i) for i in range(m + 1)], axis=1) @ c
-        for m, c in ((n, curve), (n - 1, n * np.diff(curve, axis=0)))
+    value, slope = (
+        np.stack([comb(m, i) * t**i * (1 - t) ** (m - i) for i in range(m + 1)], axis=1)
+        for m in (n, n - 1)
     )
+    return value, slope, weight
+
+
+def _curve_area(curve: np.ndarray) -> float:
+    """Return the integral of ``(x dy - y dx) / 2`` along a curve, by a Gauss rule."""
+    n = len(curve) - 1
+    if n == 1:
+        a, b = curve[:, :2] / curve[:, 2:]
+        return float(a[0] * b[1] - a[1] * b[0]) / 2
+    value, slope, weight = _gauss_rule(n)
+    h, d = value @ curve, slope @ (n * np.diff(curve, axis=0))
     # (x dy - y dx) of x = X/W, y = Y/W is (X dY - Y dX) / W^2
     return float(weight @ ((h[:, 0] * d[:, 1] - h[:, 1] * d[:, 0]) / h[:, 2] ** 2) / 2)
 
@@ -313,7 +324,10 @@ def _turn(loop: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def join_ends(loop: list[np.ndarray], tolerance: float) -> list[np.ndarray]:
-    """Make the end of each curve the start of the next; larger gaps get a straight piece.
+    """Make the end of each curve the start of the next.
+
+    Larger gaps are closed by the end of a straight neighbour, which may have to be shortened,
+    or by a straight piece.
 
     Parameters
     ----------
@@ -326,8 +340,13 @@ def join_ends(loop: list[np.ndarray], tolerance: float) -> list[np.ndarray]:
     curves = [c.copy() for c in loop]
     for a, b in zip(curves, [*curves[1:], curves[0]]):
         out.append(a)
-        if np.abs(a[-1] - b[0]).max() <= tolerance:
+        gap = np.abs(a[-1] - b[0]).max()
+        if gap <= tolerance:
             a[-1] = b[0] = (a[-1] + b[0]) / 2
+        elif len(a) == 2 and 2 * gap < np.abs(a[1] - a[0]).max():
+            a[-1] = b[0]
+        elif len(b) == 2 and 2 * gap < np.abs(b[1] - b[0]).max():
+            b[0] = a[-1]
         else:
             out.append(np.stack([a[-1], b[0]]))
     return out

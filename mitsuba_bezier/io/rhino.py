@@ -247,7 +247,7 @@ def _trimmed_face(
             def place(t: np.ndarray, piece: np.ndarray = piece) -> np.ndarray:
                 return surface.pull_back(piece, t)
 
-            fitted = fit_parabolas(place, scale, 2e-6 * surface.size)
+            fitted = fit_parabolas(place, scale, 1e-5 * surface.size)
             if fitted is None:
                 return "trimmed by a curve that parabolas cannot follow"
             curves += fitted

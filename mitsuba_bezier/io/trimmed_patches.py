@@ -83,7 +83,10 @@ def compose(patch: np.ndarray, domain: np.ndarray, triangle: np.ndarray) -> np.n
     for j in range(q + 1):
         for c in range(4):
             out[:, c] += _multiply(first[j, c], n * p, along[1][j], n * q)
-    return out / _multinomials(n * (p + q))[:, None]
+    out /= _multinomials(n * (p + q))[:, None]
+    if (triangle[:, 2] == triangle[0, 2]).all() and (patch[..., 3] == patch[0, 0, 3]).all():
+        out[:, 3] = patch[0, 0, 3] * triangle[0, 2] ** (p + q)  # without rounding
+    return out
 
 
 # ---------------------------------------------------------------------------- cutting regions
@@ -159,7 +162,7 @@ def cut(
     for side in sides:
         # where the part meets the line: just inside of it, the region begins and ends in turn
         ends = [c[e] / c[e, 2] for c in side for e in (0, -1)]
-        at = sorted(float(x[1 - axis]) for x in ends if x[axis] == value)
+        at = sorted(float(x[1 - axis]) for x in ends if abs(x[axis] - value) <= tolerance)
         if len(at) % 2:
             return None
         for low, high in zip(at[::2], at[1::2]):
@@ -206,7 +209,10 @@ def _cells(
 
 
 def fit_parabolas(
-    evaluate: Callable[[np.ndarray], np.ndarray], scale: np.ndarray, tolerance: float
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    scale: np.ndarray,
+    tolerance: float,
+    start: int = 2,
 ) -> list[np.ndarray] | None:
     """Return parabolas close to a plane curve.
 
@@ -217,8 +223,11 @@ def fit_parabolas(
     scale : (2,) array
         Lengths on the surface of a unit along u and along v.
     tolerance : float
-        Largest distance on the surface, measured across the curve at a quarter and three
-        quarters of each parabola.
+        Largest distance on the surface, measured across the curve at three places of each
+        parabola.
+    start : int
+        How many pieces to start with, so that no wave of the curve falls between the places
+        where the distance is measured.
 
     Returns
     -------
@@ -226,20 +235,18 @@ def fit_parabolas(
         Homogeneous Bézier points; None if more than 512 would be needed.
     """
     out: list[np.ndarray] = []
-    todo = [(0.0, 1.0, 0)]
+    todo = [(k / start, (k + 1) / start, 0) for k in range(start - 1, -1, -1)]
     while todo:
         a, b, depth = todo.pop()
         t = a + (b - a) * np.array([0, 0.25, 0.5, 0.75, 1])
         x = evaluate(t)
-        middle = 2 * x[2] - (x[0] + x[4]) / 2
-        fitted = np.array(
-            [
-                x[0] * 9 / 16 + middle * 6 / 16 + x[4] / 16,
-                x[0] / 16 + middle * 6 / 16 + x[4] * 9 / 16,
-            ]
-        )
-        off = (x[[1, 3]] - fitted) * scale
-        tangent = np.array([x[2] - x[0], x[4] - x[2]]) * scale
+        middle = _tangents_meet(evaluate, a, b, x[0], x[4], scale)
+        if middle is None:
+            middle = 2 * x[2] - (x[0] + x[4]) / 2
+        s = np.array([[0.25], [0.5], [0.75]])
+        fitted = (1 - s) ** 2 * x[0] + 2 * s * (1 - s) * middle + s**2 * x[4]
+        off = (x[1:4] - fitted) * scale
+        tangent = np.array([x[2] - x[0], x[3] - x[1], x[4] - x[2]]) * scale
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
         tangent = tangent / np.maximum(length, 1e-300)
         across = off[:, 0] * tangent[:, 1] - off[:, 1] * tangent[:, 0]
@@ -247,14 +254,43 @@ def fit_parabolas(
         if len(out) + len(todo) > 512:
             return None
         if depth < 12 and (
-            depth < 1
-            or np.abs(across).max() > tolerance
+            np.abs(across).max() > tolerance
             or np.linalg.norm(off, axis=1).max() > 0.05 * length.min() + tolerance
         ):
             todo += [((a + b) / 2, b, depth + 1), (a, (a + b) / 2, depth + 1)]
             continue
         out.append(np.column_stack([np.stack([x[0], middle, x[4]]), np.ones(3)]))
     return out
+
+
+def _tangents_meet(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    a: float,
+    b: float,
+    start: np.ndarray,
+    stop: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray | None:
+    """Return where the tangents at the ends of a piece meet, None if not well between them.
+
+    With it as control point the pieces join smoothly, and two curves that touch still do.
+    """
+    h = 1e-5 * (b - a)  # differences of second order: error h^2, rounding 1e-16 / h
+    x = evaluate(np.array([a + h, a + 2 * h, b - h, b - 2 * h]))
+    out = (-3 * start + 4 * x[0] - x[1]) * scale
+    back = (-3 * stop + 4 * x[2] - x[3]) * scale
+    chord = (stop - start) * scale
+    det = back[0] * out[1] - back[1] * out[0]
+    # tangents within 1e-4 of parallel do not say where they meet
+    if abs(det) <= 1e-4 * np.linalg.norm(out) * np.linalg.norm(back):
+        return None
+    along = (back[0] * chord[1] - back[1] * chord[0]) / det
+    other = (out[0] * chord[1] - out[1] * chord[0]) / det
+    length = np.linalg.norm(chord)
+    reach = along * np.linalg.norm(out), other * np.linalg.norm(back)
+    if min(reach) <= 0.05 * length or max(reach) >= length:
+        return None
+    return start + along * out / scale
 
 
 def trimmed_patches(
@@ -291,8 +327,8 @@ def trimmed_patches(
     columns = len(v) - 1
     ends = np.concatenate([c[:, :2] / c[:, 2:] for c in curves])
     extent = np.maximum(np.ptp(ends, axis=0), 1e-12)
-    # 1e-8: well above the rounding of roots, well below anything one can see
-    tolerance = 1e-8 * extent
+    # 1e-6: CAD programs place edges on knots no better than that; far below a pixel
+    tolerance = 1e-6 * extent
     cells = _cells(curves, (u[1:-1], v[1:-1]), tolerance)
     if cells is None:
         return "its boundary is not closed"

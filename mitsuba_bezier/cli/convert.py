@@ -1,0 +1,68 @@
+"""``mitsuba-bezier convert``: from any file that can be read to any that can be written."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+__all__ = ["add_parser", "run"]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the parser of this command."""
+    parser = subparsers.add_parser(
+        "convert",
+        help="convert curved surfaces between file formats",
+        description="Read surfaces and write them as Bézier triangles. The suffixes tell the "
+        "formats: .vtu, Gmsh .msh, Geomview .bez and .off, BezierView .bv, OBJ free form, STEP, "
+        "IGES, BREP, .3dm in; .vtu, .bv and .ply (flat triangles) out. Faces that cannot be "
+        "converted are named on stderr.",
+    )
+    add = parser.add_argument
+    add("input", metavar="IN", help="the file to read")
+    add("output", metavar="OUT", help="the file to write")
+    add(
+        "--chord-error",
+        metavar="LENGTH",
+        type=float,
+        help="for .ply: largest distance of an edge from the surface (default: 1/1000 of the "
+        "bounding box's diagonal)",
+    )
+    add(
+        "--encoding",
+        choices=("appended", "binary", "ascii"),
+        help="for .vtu: raw, base64 or text (default: appended)",
+    )
+    add("--elevate", action="store_true", help="elevate all patches to the highest degree")
+    add("--strict", action="store_true", help="exit with 1 if a face was refused")
+    add("-q", "--quiet", action="store_true", help="show errors only")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Convert the file; return 0, or 1 if faces were refused and ``--strict`` is given."""
+    from ..io import read, save, writer_options
+
+    options = {
+        name: value
+        for name, value in (("chord_error", args.chord_error), ("encoding", args.encoding))
+        if value is not None
+    }
+    writer_options(args.output, options)  # a wrong suffix is told before the work is done
+    model = read(args.input)
+    report = model.report
+    groups = [model.triangles()] if args.elevate else model.groups
+    save(groups, args.output, **options)
+    if not args.quiet:
+        for note in report.notes:
+            print(f"mitsuba-bezier: note: {note}", file=sys.stderr)
+        for refusal in report.refused:
+            print(f"mitsuba-bezier: refused: {refusal}", file=sys.stderr)
+        patches = sum(map(len, groups))
+        degrees = ", ".join(str(g.degree) for g in groups)
+        print(
+            f"mitsuba-bezier: wrote {args.output}: {patches} patches of degree {degrees} from "
+            f"{report.converted} of {report.faces} faces",
+            file=sys.stderr,
+        )
+    return 1 if args.strict and report.refused else 0

@@ -1,0 +1,93 @@
+"""``mitsuba-bezier info``: what a file holds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..io import Model
+
+__all__ = ["add_parser", "examine", "run"]
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the parser of this command."""
+    parser = subparsers.add_parser(
+        "info",
+        help="tell what a file of surfaces holds",
+        description="Read a file as 'mitsuba-bezier convert' does and print its faces, patches, "
+        "degrees, weights, control points at infinity and bounds, and the reason for each face "
+        "that cannot be converted.",
+    )
+    parser.add_argument("file", metavar="FILE", help="the file to read")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def examine(model: Model) -> dict[str, Any]:
+    """Return the facts about a model as plain numbers, lists and strings."""
+    import numpy as np
+
+    report = model.report
+    groups = []
+    for group in model.groups:
+        net = group.control_points
+        weight = net[..., 3]
+        groups.append(
+            {
+                "degree": group.degree,
+                "patches": len(group),
+                "polynomial": int((weight == weight[:, :1]).all(axis=1).sum()),
+                "weights": [float(weight.min()), float(weight.max())],
+                "at_infinity": int(((weight == 0) & net.any(axis=-1)).sum()),
+                "negative_weights": int((weight < 0).sum()),
+            }
+        )
+    bounds = np.concatenate([group.bounds() for group in model.groups])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    return {
+        "file": report.path,
+        "format": report.format,
+        "faces": report.faces,
+        "converted": report.converted,
+        "refused": [{"face": r.face, "count": r.count, "reason": r.reason} for r in report.refused],
+        "notes": report.notes,
+        "remarks": report.remarks,
+        "patches": groups,
+        # of the control points: the surface lies inside; None where it reaches infinity
+        "bounds": [[x if np.isfinite(x) else None for x in side.tolist()] for side in (low, high)],
+    }
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the facts; return 0."""
+    from ..io import read
+
+    found = examine(read(args.file))
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return 0
+    print(f"{found['file']} ({found['format']})")
+    print(f"  faces       {found['converted']} of {found['faces']} converted")
+    for group in found["patches"]:
+        low, high = group["weights"]
+        weights = "polynomial" if group["polynomial"] == group["patches"] else ""
+        if not weights:
+            weights = f"weights {low:.6g} to {high:.6g}"
+            if group["at_infinity"]:
+                weights += f", {group['at_infinity']} control points at infinity"
+            if group["negative_weights"]:
+                weights += f", {group['negative_weights']} negative"
+        print(f"  patches     {group['patches']} of degree {group['degree']}, {weights}")
+    for name, side in zip(("from", "to"), found["bounds"]):
+        numbers = ", ".join("infinity" if x is None else f"{x:.6g}" for x in side)
+        print(f"  bounds {name:4} ({numbers})")
+    for refusal in found["refused"]:
+        count = f"{refusal['count']} x " if refusal["count"] > 1 else ""
+        print(f"  refused     {count}{refusal['face']}: {refusal['reason']}")
+    for note in found["notes"]:
+        print(f"  note        {note}")
+    for remark in found["remarks"]:
+        print(f"  also        {remark}")
+    return 0
