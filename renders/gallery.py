@@ -53,19 +53,19 @@ class Picture:
 
 
 PICTURES = (
-    Picture("quadrics", "quadrics", 640, 360, 512, "All quadrics and a torus, exact, on one floor"),
-    Picture("sphere", "sphere", 640, 360, 512, "Both covers of the sphere, in glass and in metal"),
-    Picture("cornell", "cornell", 384, 384, 1024, "Glass ball and torus in a Cornell box"),
-    Picture("railroad", "railroad", 512, 288, 256, "A plane to the horizon; rails to infinity"),
-    Picture("duerer", "duerer", 512, 288, 256, "Dürer's machine: threads through a frame"),
-    Picture("duerer_eye", "duerer", 512, 288, 256, "The same from the eye point", ("-s", "1")),
-    Picture("figure2", "figure2", 512, 288, 256, "Four triangles and six lunes tile the sphere"),
-    Picture("paraboloids", "paraboloids", 512, 288, 256, "Quadrics as images of one paraboloid"),
-    Picture("weights", "weights", 640, 240, 256, "One weight from large through zero to negative"),
-    Picture("developable", "developable", 512, 288, 256, "A developable and its regression curve"),
-    Picture("decasteljau", "decasteljau", 512, 288, 256, "De Casteljau's scheme of a cubic"),
-    Picture("farin", "farin", 512, 288, 256, "Farin points: evaluation by cross ratios"),
-    Picture("relief", "relief", 512, 288, 256, "Relief perspective of a lute"),
+    Picture("quadrics", "quadrics", 576, 324, 256, "All quadrics and a torus, exact, on one floor"),
+    Picture("sphere", "sphere", 480, 320, 256, "Both covers of the sphere, in glass and in metal"),
+    Picture("cornell", "cornell", 320, 320, 512, "Glass ball and torus in a Cornell box"),
+    Picture("railroad", "railroad", 512, 288, 128, "A plane to the horizon; rails to infinity"),
+    Picture("duerer", "duerer", 512, 288, 128, "Dürer's machine: threads through a frame"),
+    Picture("duerer_eye", "duerer", 512, 288, 128, "The same from the eye point", ("-s", "1")),
+    Picture("figure2", "figure2", 512, 288, 128, "Four triangles and six lunes tile the sphere"),
+    Picture("paraboloids", "paraboloids", 512, 288, 128, "Quadrics as images of one paraboloid"),
+    Picture("weights", "weights", 640, 240, 128, "One weight from large through zero to negative"),
+    Picture("developable", "developable", 512, 288, 128, "A developable and its regression curve"),
+    Picture("decasteljau", "decasteljau", 512, 288, 128, "De Casteljau's scheme of a cubic"),
+    Picture("farin", "farin", 512, 288, 128, "Farin points: evaluation by cross ratios"),
+    Picture("relief", "relief", 512, 288, 128, "Relief perspective of a lute"),
 )
 
 
