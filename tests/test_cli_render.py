@@ -386,6 +386,36 @@ def test_passes_add_up_to_the_mean_over_all_samples(integrator, filter_name):
     assert np.abs(total(together) - sums / weights).max() < 1e-5
 
 
+@pytest.mark.parametrize("kind", ["float16", "float32"])
+def test_parts_merge_to_the_bits_of_the_whole(folder, kind):
+    film = f'<string name="component_format" value="{kind}"/>'
+    (folder / "ball.xml").write_text(scene(film=film))
+    words = ("ball.xml", "-q", "--spp", "23", "--spp-per-pass", "3", "--seed", "5")
+    assert render(*words, "-o", "whole.exr") == 0
+    parts = [f"{i}.exr" for i in (3, 1, 2)]
+    for part in parts:
+        assert render(*words, "--part", f"{part[0]}/3", "-o", part) == 0
+    assert main.main(["merge", *parts, "-o", "merged.exr", "-q"]) == 0
+    whole, merged = pixels("whole.exr"), pixels("merged.exr")
+    assert whole.keys() == merged.keys()
+    for name, values in whole.items():
+        assert values.dtype == merged[name].dtype == np.dtype(kind)
+        np.testing.assert_array_equal(values, merged[name])
+    for name in ("spp", "passes", "variant"):
+        assert header("whole.exr")[name] == header("merged.exr")[name]
+    assert sorted(header("whole.exr")["seeds"].split()) == sorted(
+        header("merged.exr")["seeds"].split()
+    )
+    assert not np.array_equal(pixels("1.exr")["R"], whole["R"])
+
+
+@pytest.mark.parametrize("part", ["0/2", "3/2", "1", "a/b", "9/9"])
+def test_parts_that_are_none(folder, part, capsys):
+    words = ("ball.xml", "--spp", "16", "--spp-per-pass", "2", "--part", part)
+    assert render(*words) == 2
+    assert "--part: expected" in capsys.readouterr().err
+
+
 def test_samplers_that_round_up_are_counted(folder, capsys):
     (folder / "ball.xml").write_text(scene(sampler="stratified"))
     assert render("ball.xml", "-q", "--spp", "10") == 0
