@@ -49,12 +49,15 @@ def check_hits(shape: Any, o: np.ndarray, d: np.ndarray) -> np.ndarray:
     sure = np.abs(distance - 1) > BAND
     wrong = sure & (hit != np.isfinite(truth))
     assert not wrong.any(), f"{wrong.sum()} wrong, first {o[wrong][0]}, {d[wrong][0]}"
-    both = hit & sure
+    both = hit & np.isfinite(truth)
     error = np.abs(t[both] - truth[both])
     cosine = np.sqrt(1 - distance[both] ** 2)
-    assert error.max() < 2e-5
-    # seen along the normal: one rounding of t (up to 3.5) and one of the control points
+    # Seen along the normal: one rounding of t (up to 3.5) and one of the control points. What
+    # that is along the ray grows towards the silhouette, where control points in float32 move
+    # the true hit itself by as much.
     assert (error * cosine).max() < 4e-7
+    assert error[cosine > 0.02].max() < 2e-5
+    assert np.quantile(error, 1 - 1e-5) < 2e-5  # all but ten in a million, whatever the slant
     assert (numbers(shape.ray_test(ray)) == hit).all()
     assert (numbers(pi.is_valid()) == hit).all()
     return np.unique(patch[hit])
