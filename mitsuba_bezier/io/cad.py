@@ -25,6 +25,7 @@ import numpy as np
 from ..errors import FileFormatError
 from ..geometry import bernstein
 from .files import damaged, read_bytes
+from .isolated import read_isolated
 from .nurbs import curve_to_bezier, surface_to_bezier
 from .nurbs_surface import bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
@@ -33,7 +34,7 @@ from .tensor_nets import tensor_nets
 from .trimmed_patches import fit_parabolas, trimmed_patches
 from .trims import rectangles, rectilinear
 
-__all__ = ["read"]
+__all__ = ["read", "read_here"]
 
 _SAMPLES = np.linspace(0, 1, 17)
 
@@ -123,6 +124,20 @@ def _explore(occ: Any, shape: Any, kind: Any) -> Iterator[Any]:
 
 def read(path: str | PathLike[str]) -> Model:
     """Read a STEP, IGES or BREP file.
+
+    It is read in a process of its own (see `isolated`).
+
+    Raises
+    ------
+    FileFormatError
+        If OpenCASCADE is not installed, the file is missing or damaged, or no face of it can
+        be converted.
+    """
+    return read_isolated("cad", path)
+
+
+def read_here(path: str | PathLike[str]) -> Model:
+    """Read a STEP, IGES or BREP file, in this process: a damaged file can end it.
 
     Raises
     ------

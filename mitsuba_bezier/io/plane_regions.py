@@ -326,8 +326,8 @@ def _turn(loop: list[np.ndarray]) -> list[np.ndarray]:
 def join_ends(loop: list[np.ndarray], tolerance: float) -> list[np.ndarray]:
     """Make the end of each curve the start of the next.
 
-    Larger gaps are closed by the end of a straight neighbour, which may have to be shortened,
-    or by a straight piece.
+    Larger gaps are closed by a straight piece, or by shortening a straight neighbour that goes
+    too far.
 
     Parameters
     ----------
@@ -343,13 +343,23 @@ def join_ends(loop: list[np.ndarray], tolerance: float) -> list[np.ndarray]:
         gap = np.abs(a[-1] - b[0]).max()
         if gap <= tolerance:
             a[-1] = b[0] = (a[-1] + b[0]) / 2
-        elif len(a) == 2 and 2 * gap < np.abs(a[1] - a[0]).max():
+        elif _goes_past(a, b[0]):
             a[-1] = b[0]
-        elif len(b) == 2 and 2 * gap < np.abs(b[1] - b[0]).max():
+        elif _goes_past(b[::-1], a[-1]):
             b[0] = a[-1]
         else:
             out.append(np.stack([a[-1], b[0]]))
     return out
+
+
+def _goes_past(side: np.ndarray, point: np.ndarray) -> bool:
+    """Tell whether a straight side passes a point (within 6 degrees) before it ends."""
+    if len(side) != 2:
+        return False
+    along, gap = side[1] - side[0], point - side[1]
+    length = np.linalg.norm(along)
+    back = -(gap @ along) / length if length else 0.0
+    return bool(back > 0.995 * np.linalg.norm(gap) and 2 * back < length)
 
 
 def _tame(curve: np.ndarray) -> list[np.ndarray]:

@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import BezierError, FileFormatError
 from ..geometry import bernstein
 from .files import damaged, read_bytes
+from .isolated import read_isolated
 from .nurbs import curve_to_bezier
 from .nurbs_surface import NurbsSurface, bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
@@ -22,7 +23,7 @@ from .report import Collector, Model
 from .tensor_nets import tensor_nets
 from .trimmed_patches import fit_parabolas, trimmed_patches
 
-__all__ = ["read"]
+__all__ = ["read", "read_here"]
 
 _MAX_DEPTH = 8  # blocks within blocks
 
@@ -89,6 +90,20 @@ class _Reader:
 
 def read(path: str | PathLike[str]) -> Model:
     """Read a ``.3dm`` file.
+
+    It is read in a process of its own (see `isolated`).
+
+    Raises
+    ------
+    FileFormatError
+        If rhino3dm is not installed, the file is missing or damaged, or no face of it can
+        be converted.
+    """
+    return read_isolated("rhino", path)
+
+
+def read_here(path: str | PathLike[str]) -> Model:
+    """Read a ``.3dm`` file, in this process: a damaged file can end it.
 
     Raises
     ------
