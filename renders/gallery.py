@@ -53,9 +53,11 @@ class Picture:
 
 
 PICTURES = (
-    Picture("quadrics", "quadrics", 576, 324, 256, "All quadrics and a torus, exact, on one floor"),
-    Picture("sphere", "sphere", 480, 320, 256, "Both covers of the sphere, in glass and in metal"),
-    Picture("cornell", "cornell", 320, 320, 512, "Glass ball and torus in a Cornell box"),
+    Picture(
+        "quadrics", "quadrics", 576, 324, 1024, "All quadrics and a torus, exact, on one floor"
+    ),
+    Picture("sphere", "sphere", 480, 320, 1024, "Both covers of the sphere, in glass and in metal"),
+    Picture("cornell", "cornell", 320, 320, 2048, "Glass ball and torus in a Cornell box"),
     Picture("railroad", "railroad", 512, 288, 128, "A plane to the horizon; rails to infinity"),
     Picture("duerer", "duerer", 512, 288, 128, "Dürer's machine: threads through a frame"),
     Picture("duerer_eye", "duerer", 512, 288, 128, "The same from the eye point", ("-s", "1")),
