@@ -29,25 +29,14 @@ def models() -> dict[str, BezierTriangles]:
         "elliptic_paraboloid": shapes.elliptic_paraboloid((0, 0, 0), (0.72, 0.6), 0.55),
         "hyperbolic_paraboloid": shapes.hyperbolic_paraboloid((0, 0, 0), (0.6, 0.6), 0.42),
         "hyperboloid_one_sheet": shapes.hyperboloid_one_sheet((0, 0, 0.8), (0.3, 0.3, 0.42), 1.6),
-        "hyperboloid_two_sheets": two_sheets(0.17, 0.2, 0.5),
+        "hyperboloid_two_sheets": shapes.hyperboloid_two_sheets(
+            (0, 0, 0.7), (0.17, 0.17, 0.2), 0.5, capped=True
+        ),
         "cone": shapes.cone((0, 0, 0), (0.52, 0.52), 1.35, capped=True),
         "cylinder": shapes.cylinder(capped=True),
         "torus": shapes.torus((0, 0, 0.2), 0.52, 0.2),
         "sweep": sweep(front=-14, back=10, bend=5, height=16, width=50),
     }
-
-
-def two_sheets(radius: float, half_axis: float, height: float) -> BezierTriangles:
-    """Return both sheets of a hyperboloid of revolution, closed by disks, standing on z = 0."""
-    middle = half_axis + height
-    rim = radius * np.sqrt((middle / half_axis) ** 2 - 1)
-    return BezierTriangles.join(
-        [
-            shapes.hyperboloid_two_sheets((0, 0, middle), (radius, radius, half_axis), height),
-            shapes.disk((0, 0, 2 * middle), (rim, rim)),
-            shapes.disk((0, 0, 0), (rim, rim)).reverse(),
-        ]
-    )
 
 
 def sweep(front: float, back: float, bend: float, height: float, width: float) -> BezierTriangles:
