@@ -1,7 +1,8 @@
 """Write the models of the scenes in this folder: ``python scenes/make_models.py``.
 
-Every model is exact, has the z axis as its axis and stands on the plane z = 0, at the origin,
-except for the spheres and the rod, which are unit sized for the scenes to scale.
+Every model is exact and has the z axis as its axis. They stand on the plane z = 0 at the origin,
+but the spheres and the saddle, which have it as their centre. Spheres and cylinder have radius
+one, for the scenes to scale.
 """
 
 from __future__ import annotations
