@@ -139,8 +139,8 @@ def main() -> None:
         for name in args.names or known:
             make(known[name])
         if not args.names:
-            words = ["--resolution", "384", "--html", "renders/verification.html"]
-            mitsuba_bezier("verify", *words)
+            words = ["--resolution", "1024", "--html", "renders/verification.html"]
+            mitsuba_bezier("verify", *words, "--html-size", "128")
     (HERE / "index.html").write_text(index(), encoding="utf-8")
 
 

@@ -42,6 +42,7 @@ def add_parser(subparsers: Any) -> None:
     add("--resolution", metavar="N", type=int, default=1024, help="pixels a side (1024)")
     add("--json", metavar="FILE", help="write the figures; '-' for standard output")
     add("--html", metavar="FILE", help="write a report to look at, one self-contained page")
+    add("--html-size", metavar="N", type=int, default=384, help="side of its pictures (384)")
 
 
 def _scene(case: Case, net: Path, resolution: int) -> Any:
@@ -137,6 +138,8 @@ def run(args: argparse.Namespace) -> int:
         raise BezierError.expected("CASE", f"one of {', '.join(names)}", unknown[0])
     if not 8 <= args.resolution <= 16384:
         raise BezierError.expected("--resolution", "8 to 16384 pixels", args.resolution)
+    if args.html_size < 8:
+        raise BezierError.expected("--html-size", "8 pixels or more", args.html_size)
     mi = import_mitsuba()
     check(args.mode)
     mi.set_variant(args.mode)
@@ -158,7 +161,8 @@ def run(args: argparse.Namespace) -> int:
             if args.html:
                 words = ["mitsuba-bezier", "verify", case.name, "-m", args.mode]
                 command = shlex.join([*words, "--resolution", str(args.resolution)])
-                entries.append(verify_entry(verdicts[-1], hits, truth, command))
+                entry = verify_entry(verdicts[-1], hits, truth, command, args.html_size)
+                entries.append(entry)
     _print(console, verdicts)
     if args.json:
         _write(args.json, verdicts, args)

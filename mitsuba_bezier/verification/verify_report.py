@@ -7,45 +7,47 @@ import numpy as np
 from . import png, preview
 from .cases import Truth
 from .comparison import Check
-from .report import Entry, Panel, heat_map
+from .report import Entry, HeatMap, Panel, heat_map
 from .verify import LIMITS, Hits, Verdict
 
 __all__ = ["verify_entry"]
 
-#: Pictures of the report are no larger; of the errors in a block of pixels the largest is shown.
-_SIDE = 384
 
+def _blocks(values: np.ndarray, side: int, largest: int, worst: bool) -> np.ndarray:
+    """Reduce a square image ``(side, side, ...)`` to at most `largest` pixels a side.
 
-def _blocks(values: np.ndarray, side: int, worst: bool) -> np.ndarray:
-    """Reduce a square image ``(side, side, ...)`` to at most `_SIDE` pixels a side."""
-    step = -(-side // _SIDE)
+    Of the pixels of a block the first is taken, or the largest value.
+    """
+    step = -(-side // largest)
     side -= side % step
     cut = values[:side, :side].reshape(side // step, step, side // step, step, *values.shape[2:])
     return cut.max(axis=(1, 3)) if worst else cut[:, 0, :, 0]
 
 
-def _normals(n: np.ndarray, hit: np.ndarray, side: int) -> np.ndarray:
+def _normals(n: np.ndarray, hit: np.ndarray, side: int, largest: int) -> np.ndarray:
     colour = np.where(hit[:, None], n * 0.5 + 0.5, 0.12)
     picture = np.clip(np.rint(colour * 255), 0, 255).astype(np.uint8)
-    return _blocks(picture.reshape(side, side, 3), side, False)
+    return _blocks(picture.reshape(side, side, 3), side, largest, False)
 
 
-def _depths(t: np.ndarray, near: float, far: float, side: int) -> np.ndarray:
+def _depths(t: np.ndarray, near: float, far: float, side: int, largest: int) -> np.ndarray:
     # inverse depth: what lies at the horizon is dark, not without bound
     with np.errstate(divide="ignore"):
         shade = (1 / t - 1 / far) / (1 / near - 1 / far)
     shade = np.where(np.isfinite(t), 0.25 + 0.75 * np.clip(shade, 0, 1), 0.0)
     picture = np.rint(shade * 255).astype(np.uint8).reshape(side, side)
-    return _blocks(np.repeat(picture[..., None], 3, axis=-1), side, False)
+    return _blocks(np.repeat(picture[..., None], 3, axis=-1), side, largest, False)
 
 
-def _map(title: str, values: np.ndarray, side: int, note: str):
-    grid = _blocks(values.reshape(side, side), side, True)
+def _map(title: str, values: np.ndarray, side: int, largest: int, note: str) -> HeatMap:
+    grid = _blocks(values.reshape(side, side), side, largest, True)
     high = float(grid.max()) or 1e-12
     return heat_map(title, grid, 0.0, high, "magma", note)
 
 
-def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> Entry:
+def verify_entry(
+    verdict: Verdict, hits: Hits, truth: Truth, command: str, largest: int = 384
+) -> Entry:
     """Return the entry of one case.
 
     Parameters
@@ -56,6 +58,8 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
         Of a square image.
     command : str
         What repeats the case.
+    largest : int
+        Pixels a side of the pictures at most; of the errors in a block the largest is shown.
     """
     side = round(np.sqrt(verdict.pixels))
     ours, theirs = np.isfinite(hits.t), np.isfinite(truth.t)
@@ -87,8 +91,8 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
         Check("normal mean", verdict.normal_mean, None, True),
         _check("turned", verdict.normal_flips, 0),
     ]
-    a, b = _depths(truth.t, near, far, side), _depths(hits.t, near, far, side)
-    an, bn = _normals(turned, theirs, side), _normals(hits.n, ours, side)
+    a, b = _depths(truth.t, near, far, side, largest), _depths(hits.t, near, far, side, largest)
+    an, bn = _normals(turned, theirs, side, largest), _normals(hits.n, ours, side, largest)
     size = (a.shape[1], a.shape[0])
     wrong = (ours != theirs).astype(np.float64)
     panels = [
@@ -98,7 +102,15 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
             png.encode(an),
             png.encode(bn),
             "normals, x y z as red green blue; left the formula, right the patches",
-            [_map("angle", angle, side, "angle between the normals, radians; worst of a block")],
+            [
+                _map(
+                    "angle",
+                    angle,
+                    side,
+                    largest,
+                    "angle between the normals, radians; worst of a block",
+                )
+            ],
             normal_checks,
             preview.difference_histogram(bent, ["x", "y", "z"]),
             None,
@@ -110,8 +122,10 @@ def verify_entry(verdict: Verdict, hits: Hits, truth: Truth, command: str) -> En
             png.encode(b),
             f"inverse depth, {near:.3g} white to {far:.3g} dark; a miss is black",
             [
-                _map("depth", error, side, "relative error of the depth; worst of a block"),
-                _map("mask", wrong, side, "one of the two hits, the other misses"),
+                _map(
+                    "depth", error, side, largest, "relative error of the depth; worst of a block"
+                ),
+                _map("mask", wrong, side, largest, "one of the two hits, the other misses"),
             ],
             depth_checks,
             preview.difference_histogram(signed, ["depth"]),
