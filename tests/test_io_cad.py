@@ -48,8 +48,7 @@ def occ():
         BRepPrimAPI_MakeTorus,
     )
     from OCP.BRepTools import BRepTools
-    from OCP.Geom import Geom_BSplineSurface
-    from OCP.gp import gp_Ax1, gp_Ax2, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
+    from OCP.gp import gp_Ax1, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
     from OCP.GProp import GProp_GProps
     from OCP.IGESControl import IGESControl_Writer
     from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
@@ -91,8 +90,6 @@ def occ():
         cut=lambda a, b: BRepAlgoAPI_Cut(a, b).Shape(),
         fuse=lambda a, b: BRepAlgoAPI_Fuse(a, b).Shape(),
         face=lambda surface: BRepBuilderAPI_MakeFace(surface, 1e-6).Face(),
-        spline=Geom_BSplineSurface,
-        axes=gp_Ax2,
         write=write,
         moved=moved,
         properties=properties,
@@ -179,41 +176,32 @@ def test_surface_of_a_trimmed_face_stays_exact(occ, tmp_path):
 @pytest.mark.parametrize("periodic", [False, True])
 def test_nurbs_surface_equals_opencascade(occ, tmp_path, periodic):
     """Evaluation at the same parameters."""
-    from OCP.gp import gp_Pnt
-    from OCP.TColgp import TColgp_Array2OfPnt
-    from OCP.TColStd import TColStd_Array1OfInteger, TColStd_Array1OfReal, TColStd_Array2OfReal
+    from OCP.Geom import Geom_CylindricalSurface, Geom_Plane, Geom_RectangularTrimmedSurface
+    from OCP.GeomConvert import GeomConvert
+    from OCP.gp import gp_Ax3, gp_Pnt
 
     rng = np.random.default_rng(0)
-    p, q, m, n = 3, 2, 6, 5
-    poles, weights = TColgp_Array2OfPnt(1, m, 1, n), TColStd_Array2OfReal(1, m, 1, n)
-    for i in range(m):
-        for j in range(n):
-            angle = 2 * np.pi * i / m
-            x = np.array([np.cos(angle), np.sin(angle), 0.5 * j]) + rng.normal(scale=0.1, size=3)
-            if not periodic:
-                x = np.array([i, j, rng.normal()])
-            poles.SetValue(i + 1, j + 1, gp_Pnt(*x.tolist()))
-            weights.SetValue(i + 1, j + 1, rng.uniform(0.7, 1.4))
-
-    def arrays(knots, counts):
-        values, numbers = (
-            TColStd_Array1OfReal(1, len(knots)),
-            TColStd_Array1OfInteger(1, len(knots)),
-        )
-        for k, (x, c) in enumerate(zip(knots, counts), start=1):
-            values.SetValue(k, x)
-            numbers.SetValue(k, c)
-        return values, numbers
-
     if periodic:
-        u = arrays([0, 1, 2, 3, 4, 5, 6], [1] * 7)
+        start = Geom_CylindricalSurface(gp_Ax3(), 2.0)
+        part = Geom_RectangularTrimmedSurface(start, 0.0, 2 * np.pi, 0.0, 4.0)
     else:
-        u = arrays([0, 1, 2.5, 3], [p + 1, 1, 1, p + 1])
-    v = arrays([0, 1, 2, 4], [q + 1, 1, 1, q + 1])
-    surface = occ.spline(poles, weights, u[0], v[0], u[1], v[1], p, q, periodic, False)
+        part = Geom_RectangularTrimmedSurface(Geom_Plane(gp_Ax3()), 0.0, 3.0, 0.0, 4.0)
+    surface = GeomConvert.SurfaceToBSplineSurface_s(part)
+    assert surface.IsUPeriodic() == periodic
+    surface.IncreaseDegree(3, 2)
+    for u in (1, 2.5):
+        surface.InsertUKnot(u, 1, 1e-9)
+    for v in (1, 2):
+        surface.InsertVKnot(v, 1, 1e-9)
+    for i in range(1, surface.NbUPoles() + 1):
+        for j in range(1, surface.NbVPoles() + 1):
+            x = surface.Pole(i, j)
+            x = np.array([x.X(), x.Y(), x.Z()]) + rng.normal(scale=0.2, size=3)
+            surface.SetPole(i, j, gp_Pnt(*x.tolist()))
+            surface.SetWeight(i, j, float(rng.uniform(0.7, 1.4)))
     model = cad.read_here(occ.write(occ.face(surface), tmp_path / "a.brep"))
     (t,) = model.groups
-    u_breaks = range(7) if periodic else (0, 1, 2.5, 3)
+    u_breaks = [surface.UKnot(k) for k in range(1, surface.NbUKnots() + 1)]
     v_breaks = (0, 1, 2, 4)
     assert len(t) == 2 * (len(u_breaks) - 1) * 3
     st = rng.dirichlet([1, 1, 1], 5)[:, :2]
@@ -250,7 +238,7 @@ def test_faces_are_named_when_refused(occ, tmp_path, monkeypatch):
     refused = model.report.refused
     assert [str(r) for r in refused] == [
         "face 2: a reason",
-        "face 4: OpenCASCADE: Standard_Failure",
+        "face 4: failed with RuntimeError: Standard_Failure",
     ]
 
 

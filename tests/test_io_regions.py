@@ -10,7 +10,7 @@ import pytest
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.tensor import evaluate_tensor
 from mitsuba_bezier.geometry.triangles import BezierTriangles
-from mitsuba_bezier.io.nurbs_surface import NurbsSurface
+from mitsuba_bezier.io.nurbs_surface import PatchGrid
 from mitsuba_bezier.io.plane_regions import (
     chain,
     curved_triangle,
@@ -332,9 +332,9 @@ def test_trimmed_patches(degrees):
     z = np.random.default_rng(0).normal(size=x.shape)
     net = np.stack([x, y, z, np.ones(x.shape)], axis=-1)
     loops = [*circle((2, 2), 1.9), *circle((2.5, 2), 0.6)]
-    nets = trimmed_patches(net, (knots_u, knots_v), degrees, loops)
+    surface = PatchGrid.from_nurbs(net, knots_u, knots_v, degrees)
+    nets = trimmed_patches(surface, loops)
     assert not isinstance(nets, str), nets
-    surface = NurbsSurface(net, knots_u, knots_v, degrees)
     area = 0.0
     for part in nets:
         t = BezierTriangles(part)
@@ -351,7 +351,7 @@ def test_trimmed_patches_without_a_closed_boundary():
     net = patch(1, 1)
     knots = np.array([0.0, 0, 1, 1])
     curves = circle((0.5, 0.5), 0.3)[:3]
-    assert "closed" in trimmed_patches(net, (knots, knots), (1, 1), curves)
+    assert "closed" in trimmed_patches(PatchGrid.from_nurbs(net, knots, knots, (1, 1)), curves)
 
 
 def test_rectangles():
@@ -373,7 +373,7 @@ def test_rectangles():
 
 def test_closest_and_pull_back():
     net = patch(2, 3, seed=5)
-    surface = NurbsSurface(net, [0, 0, 0, 2, 2, 2], [1, 1, 1, 1, 3, 3, 3, 3], (2, 3))
+    surface = PatchGrid.from_nurbs(net, [0, 0, 0, 2, 2, 2], [1, 1, 1, 1, 3, 3, 3, 3], (2, 3))
     uv = np.random.default_rng(0).uniform([0.05, 1.05], [1.95, 2.95], (20, 2))
     points, du, dv = surface.jet(uv)
     h = evaluate_tensor(net, np.column_stack([uv[:, 0] / 2, (uv[:, 1] - 1) / 2]))

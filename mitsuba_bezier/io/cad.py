@@ -15,18 +15,18 @@ Lengths are those of the file in millimetres, as OpenCASCADE converts them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..errors import FileFormatError
 from ..geometry import bernstein
+from .cad_surfaces import curve_pieces, parameter_map, surface_grid
 from .files import damaged, read_bytes
 from .isolated import read_isolated
-from .nurbs import curve_to_bezier, surface_to_bezier
 from .nurbs_surface import bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .report import Collector, Model
@@ -75,6 +75,7 @@ def _occ() -> Any:
         brep, adaptor, tools = BRep, BRepAdaptor, BRepTools
         geom, geom2d = Geom, Geom2d
         convert, convert2d = GeomConvert.GeomConvert, Geom2dConvert.Geom2dConvert
+        curve = staticmethod(GeomConvert.GeomConvert.CurveToBSplineCurve_s)
         select, iges, step = IFSelect, IGESControl, STEPControl
         abs, exp = TopAbs, TopExp
         # the name of static methods changed between 7.9 and 8
@@ -157,9 +158,10 @@ def read_here(path: str | PathLike[str]) -> Model:
             nets = _convert(occ, face, collector, name)
         except (FileFormatError, MemoryError):
             raise
-        except Exception as error:  # OpenCASCADE fails on this face: report it, go on
+        except Exception as error:  # a face like no other must not cost the rest: report it
             text = str(error).splitlines()
-            collector.report.refuse(name, f"OpenCASCADE: {text[0][:80] if text else 'failed'}")
+            reason = f"{type(error).__name__}: {text[0][:80] if text else ''}"
+            collector.report.refuse(name, f"failed with {reason}")
             continue
         if isinstance(nets, str):
             collector.report.refuse(name, nets)
@@ -210,10 +212,9 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str) -> list[np.nd
     boxes = rectangles(edges, tolerance)
     if isinstance(boxes, str):
         return f"{kind}: {boxes}"
-    splines = [_spline(occ, surface, box) for box in boxes]
     return [
-        _orient(tensor_nets(surface_to_bezier(s.net, *s.knots, s.degrees)[0]), turned)
-        for s in splines
+        _orient(tensor_nets(surface_grid(occ, surface, box).rectangle(box)), turned)
+        for box in boxes
     ]
 
 
@@ -235,71 +236,8 @@ def _trims(occ: Any, face: Any) -> list[np.ndarray]:
         first, last = adaptor.FirstParameter(), adaptor.LastParameter()
         curve = occ.geom2d.Geom2d_TrimmedCurve(adaptor.Curve(), first, last)
         spline = occ.convert2d.CurveToBSplineCurve_s(curve)
-        out.append(_curve(spline))
+        out.append(curve_pieces(spline, 2)[0])
     return out
-
-
-def _curve(spline: Any) -> np.ndarray:
-    if spline.IsPeriodic():
-        spline.SetNotPeriodic()
-    count, p = spline.NbPoles(), spline.Degree()
-    net = np.empty((count, 3))
-    for i in range(count):
-        pole, w = spline.Pole(i + 1), spline.Weight(i + 1)
-        net[i] = pole.X() * w, pole.Y() * w, w
-    knots = []
-    for k in range(1, spline.NbKnots() + 1):
-        knots += [spline.Knot(k)] * spline.Multiplicity(k)
-    return curve_to_bezier(net, knots, p)
-
-
-class _Spline(NamedTuple):
-    """A NURBS surface.
-
-    `occ` is OpenCASCADE's own object; its parameters are those of `knots` plus `shift`, which
-    is a period or zero.
-    """
-
-    net: np.ndarray
-    knots: tuple[np.ndarray, np.ndarray]
-    degrees: tuple[int, int]
-    occ: Any
-    shift: np.ndarray
-
-
-def _spline(occ: Any, surface: Any, box: np.ndarray) -> _Spline:
-    """Convert a rectangle ``[[u0, u1], [v0, v1]]`` of the parameters of a surface."""
-    box = np.array(box)
-    for axis, (low, high) in enumerate(np.reshape(surface.Bounds(), (2, 2))):
-        closed = surface.IsUPeriodic() if axis == 0 else surface.IsVPeriodic()
-        if closed:  # a turn and a rounding error would be refused
-            box[axis, 1] = min(box[axis, 1], box[axis, 0] + (high - low))
-        else:
-            box[axis] = np.clip(box[axis], low, high)
-    (u0, u1), (v0, v1) = box.tolist()
-    part = occ.geom.Geom_RectangularTrimmedSurface(surface, u0, u1, v0, v1)
-    spline = occ.convert.SurfaceToBSplineSurface_s(part)
-    if spline.IsUPeriodic():
-        spline.SetUNotPeriodic()
-    if spline.IsVPeriodic():
-        spline.SetVNotPeriodic()
-    m, n = spline.NbUPoles(), spline.NbVPoles()
-    net = np.empty((m, n, 4))
-    for i in range(m):
-        for j in range(n):
-            pole, w = spline.Pole(i + 1, j + 1), spline.Weight(i + 1, j + 1)
-            net[i, j] = pole.X() * w, pole.Y() * w, pole.Z() * w, w
-    knots: list[list[float]] = [[], []]
-    for k in range(1, spline.NbUKnots() + 1):
-        knots[0] += [spline.UKnot(k)] * spline.UMultiplicity(k)
-    for k in range(1, spline.NbVKnots() + 1):
-        knots[1] += [spline.VKnot(k)] * spline.VMultiplicity(k)
-    degrees = (spline.UDegree(), spline.VDegree())
-    shift = np.reshape(spline.Bounds(), (2, 2))[:, 0] - box[:, 0]
-    # a rectangle of a closed surface may come back a period away
-    shift = np.where([surface.IsUPeriodic(), surface.IsVPeriodic()], shift, 0.0)
-    shifted = (np.array(knots[0]) - shift[0], np.array(knots[1]) - shift[1])
-    return _Spline(net, shifted, degrees, spline, shift)
 
 
 def _plane_region(
@@ -326,18 +264,17 @@ def _curved_region(occ: Any, surface: Any, edges: list[np.ndarray]) -> list[np.n
     """Restrict a curved face to its trimming curves, chains ``(S, n+1, 3)``."""
     flat = np.concatenate([bezier_points(c, _SAMPLES) for edge in edges for c in edge])
     box = np.stack([flat.min(axis=0), flat.max(axis=0)], axis=1)
-    box += (box[:, 1:] - box[:, :1]) * [-1e-9, 1e-9]
-    spline = _spline(occ, surface, box)
-    points = spline.net[..., :3] / spline.net[..., 3:]
-    size = float(np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0)))
-    place = _parameter_map(surface, spline, box, size)
+    grid = surface_grid(occ, surface, box)
+    place = parameter_map(surface, grid, box)
     if isinstance(place, str):
         return place
+    points = grid.patches[..., :3] / grid.patches[..., 3:]
     # lengths of the control polygons bound those of the parameter lines
     lengths = [
-        np.linalg.norm(np.diff(points, axis=axis), axis=-1).sum(axis=axis).max() for axis in (0, 1)
+        np.linalg.norm(np.diff(points, axis=2 + k), axis=-1).sum(axis=(k, 2 + k)).max()
+        for k in (0, 1)
     ]
-    scale = np.array(lengths) / np.maximum(box[:, 1] - box[:, 0], 1e-300)
+    scale = np.array(lengths) / np.maximum(grid.domain[:, 1] - grid.domain[:, 0], 1e-300)
     out: list[np.ndarray] = []
     for edge in edges:
         if place is None and edge.shape[1] <= 3:
@@ -348,7 +285,7 @@ def _curved_region(occ: Any, surface: Any, edges: list[np.ndarray]) -> list[np.n
             uv = _chain_points(edge, t)
             return uv if place is None else place(uv)
 
-        fitted = fit_parabolas(evaluate, scale, 1e-5 * size, max(2, len(edge) // 4))
+        fitted = fit_parabolas(evaluate, scale, 1e-5 * grid.size, max(2, len(edge) // 4))
         if fitted is None:
             return "trimmed by a curve that parabolas cannot follow"
         out += fitted
@@ -359,7 +296,7 @@ def _curved_region(occ: Any, surface: Any, edges: list[np.ndarray]) -> list[np.n
     if loops is None:
         return "its boundary is not closed"
     closed = [c for loop in loops for c in join_ends(loop, 1e-6 * extent)]
-    return trimmed_patches(spline.net, spline.knots, spline.degrees, closed)
+    return trimmed_patches(grid, closed)
 
 
 def _chain_points(edge: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -370,53 +307,3 @@ def _chain_points(edge: np.ndarray, t: np.ndarray) -> np.ndarray:
     for k in np.unique(piece):
         out[piece == k] = bezier_points(edge[k], at[piece == k] - k)
     return out
-
-
-def _identity(x: np.ndarray) -> np.ndarray:
-    return x
-
-
-def _angle_map(knots: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the map of an angle to the parameter of a rational circle with these knots.
-
-    Each span is an arc ``[a, b]`` as a rational parabola with end weights 1, for which
-    ``tan((angle - middle) / 2) = tan((b - a) / 4) (2 t - 1)``.
-    """
-    breaks = np.unique(knots)
-
-    def place(x: np.ndarray) -> np.ndarray:
-        k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
-        a, b = breaks[k], breaks[k + 1]
-        return (a + b) / 2 + (b - a) / 2 * np.tan((x - (a + b) / 2) / 2) / np.tan((b - a) / 4)
-
-    return place
-
-
-def _parameter_map(
-    surface: Any, spline: _Spline, box: np.ndarray, size: float
-) -> Callable[[np.ndarray], np.ndarray] | str | None:
-    """Return the map of the parameters of a surface to those of its NURBS form.
-
-    Parameter lines are kept, so u and v are mapped each on its own.
-
-    Returns
-    -------
-    callable, str or None
-        None if the parameters are the same; a reason if they could not be related.
-    """
-    probes = box[:, 0] + (box[:, 1] - box[:, 0]) * [[0.21, 0.6], [0.47, 0.1], [0.83, 0.95]]
-    wanted = [surface.Value(*uv) for uv in probes.tolist()]
-    maps = [(_identity, _angle_map(knots)) for knots in spline.knots]
-    for first in range(2):
-        for second in range(2):
-            chosen = (maps[0][first], maps[1][second])
-
-            def place(uv: np.ndarray, chosen: tuple = chosen) -> np.ndarray:
-                inside = np.clip(uv, box[:, 0], box[:, 1])
-                return np.stack([chosen[axis](inside[:, axis]) for axis in range(2)], axis=1)
-
-            got = [spline.occ.Value(*uv) for uv in (place(probes) + spline.shift).tolist()]
-            # 1e-9 of the size: rounding, far below the difference of two parametrisations
-            if max(a.Distance(b) for a, b in zip(got, wanted)) < 1e-9 * size:
-                return place if first or second else None
-    return "its parameters could not be related to those of its NURBS form"

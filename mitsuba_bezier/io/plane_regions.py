@@ -207,7 +207,10 @@ def region_to_triangles(
 
     pieces = [join_ends([local(c) for c in loop], 1e-6) for loop in pieces if loop]
     pieces = [[h for c in loop for h in _tame(c)] for loop in pieces]
-    pieces = [loop if len(loop) >= 2 else list(_split(loop[0])) for loop in pieces]
+    for k, loop in enumerate(pieces):
+        while len(loop) < 3:  # the end points are to be a polygon
+            loop = [half for c in loop for half in _split(c)]
+        pieces[k] = loop
     outlines = [_outline(loop) for loop in pieces]
     areas = np.array([signed_area(outline) for outline in outlines])
     keep = np.flatnonzero(np.abs(areas) > 1e-14)

@@ -17,7 +17,7 @@ from ..geometry import bernstein
 from .files import damaged, read_bytes
 from .isolated import read_isolated
 from .nurbs import curve_to_bezier
-from .nurbs_surface import NurbsSurface, bezier_points
+from .nurbs_surface import PatchGrid, bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .report import Collector, Model
 from .tensor_nets import tensor_nets
@@ -133,7 +133,7 @@ def _knots(knots: Any) -> np.ndarray:
     return np.array([values[0], *values, values[-1]])
 
 
-def _nurbs(surface: Any) -> NurbsSurface:
+def _nurbs(surface: Any) -> PatchGrid:
     form = surface if type(surface).__name__ == "NurbsSurface" else surface.ToNurbsSurface()
     if form is None:
         raise FileFormatError("a surface without NURBS form")
@@ -144,11 +144,12 @@ def _nurbs(surface: Any) -> NurbsSurface:
             p = form.Points.GetControlPoint(i, j)  # homogeneous
             net[i, j] = p.X, p.Y, p.Z, p.W
     degrees = (form.OrderU - 1, form.OrderV - 1)
-    return NurbsSurface(net, _knots(form.KnotsU), _knots(form.KnotsV), degrees)
+    return PatchGrid.from_nurbs(net, _knots(form.KnotsU), _knots(form.KnotsV), degrees)
 
 
 def _whole_surface(surface: Any) -> list[np.ndarray]:
-    return [tensor_nets(_nurbs(surface).patches)]
+    grid = _nurbs(surface)
+    return [tensor_nets(grid.rectangle(grid.domain))]
 
 
 def _edge(edge: Any) -> np.ndarray:
@@ -174,7 +175,7 @@ def _brep_face(brep: Any, face: Any) -> list[np.ndarray] | str:
                 pieces = [piece[::-1] for piece in pieces[::-1]]
             part += [(piece, trim.EdgeIndex) for piece in pieces]
         loops.append(part)
-    if (surface.net[..., 3] <= 0).any():
+    if (surface.patches[..., 3] <= 0).any():
         return "a surface with weights that are not positive"
     plane = _plane_frame(surface)
     if plane is not None:
@@ -188,9 +189,9 @@ def _brep_face(brep: Any, face: Any) -> list[np.ndarray] | str:
     ]
 
 
-def _plane_frame(surface: NurbsSurface) -> np.ndarray | None:
+def _plane_frame(surface: PatchGrid) -> np.ndarray | None:
     """Return ``(3, 4)`` rows X, Y, O of a plane surface with X x Y along its normal, or None."""
-    points = (surface.net[..., :3] / surface.net[..., 3:]).reshape(-1, 3)
+    points = (surface.patches[..., :3] / surface.patches[..., 3:]).reshape(-1, 3)
     center = points.mean(axis=0)
     _u, sigma, axes = np.linalg.svd(points - center, full_matrices=False)
     if sigma[2] > 1e-10 * sigma[0]:
@@ -223,7 +224,7 @@ def _plane_face(
 
 
 def _trimmed_face(
-    surface: NurbsSurface, loops: list[list[tuple[np.ndarray, int]]]
+    surface: PatchGrid, loops: list[list[tuple[np.ndarray, int]]]
 ) -> list[np.ndarray] | str:
     """Pull the edges back to (u, v) and restrict the surface to them."""
     extent = surface.domain[:, 1] - surface.domain[:, 0]
@@ -268,4 +269,4 @@ def _trimmed_face(
             curves += fitted
         boundary += join_ends([standard(c) for c in curves], 1e-7 * float(extent.max()))
     boundary = [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()]
-    return trimmed_patches(surface.net, surface.knots, surface.degrees, boundary)
+    return trimmed_patches(surface, boundary)

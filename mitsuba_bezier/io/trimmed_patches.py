@@ -15,7 +15,8 @@ from math import comb
 import numpy as np
 
 from ..geometry import bernstein
-from .nurbs import bezier_matrices, surface_to_bezier
+from .nurbs import bezier_matrices
+from .nurbs_surface import PatchGrid
 from .plane_regions import chain, region_to_triangles
 from .tensor_nets import tensor_nets
 from .trims import rectangles, rectilinear
@@ -293,22 +294,13 @@ def _tangents_meet(
     return start + along * out / scale
 
 
-def trimmed_patches(
-    net: np.ndarray,
-    knots: tuple[np.ndarray, np.ndarray],
-    degrees: tuple[int, int],
-    curves: list[np.ndarray],
-) -> list[np.ndarray] | str:
-    """Return the Bézier triangles of a NURBS surface inside of trimming curves.
+def trimmed_patches(grid: PatchGrid, curves: list[np.ndarray]) -> list[np.ndarray] | str:
+    """Return the Bézier triangles of a surface inside of trimming curves.
 
     Parameters
     ----------
-    net : (m, n, 4) array
-        Homogeneous control points.
-    knots : pair of arrays
-        The knots along u and along v.
-    degrees : (int, int)
-        The degrees along u and along v.
+    grid : PatchGrid
+        The surface.
     curves : list of (k+1, 3) arrays
         The boundary as homogeneous Bézier curves in (u, v) of positive weights, in any order.
 
@@ -316,15 +308,8 @@ def trimmed_patches(
     -------
     list of (P, K, 4) arrays, or str
         Nets of several degrees, or the reason why there are none.
-
-    Raises
-    ------
-    GeometryError
-        If the knots do not fit.
     """
-    patches, domains = surface_to_bezier(net, *knots, degrees)
-    u, v = (np.unique(domains[:, axis]) for axis in range(2))
-    columns = len(v) - 1
+    u, v = grid.u, grid.v
     ends = np.concatenate([c[:, :2] / c[:, 2:] for c in curves])
     extent = np.maximum(np.ptp(ends, axis=0), 1e-12)
     # 1e-6: CAD programs place edges on knots no better than that; far below a pixel
@@ -334,18 +319,18 @@ def trimmed_patches(
         return "its boundary is not closed"
     out: list[np.ndarray] = []
     for i, j, boundary in cells:
-        patch = patches[i * columns + j]
         domain = np.array([u[i : i + 2], v[j : j + 2]])
         edges = rectilinear([[c[:, :2] / c[:, 2:] for c in boundary]], tolerance)
         if edges is not None:
             boxes = rectangles(edges, tolerance)
             if not isinstance(boxes, str):
-                out += [_box(patch, domain, box) for box in boxes]
+                cell = PatchGrid(grid.patches[i : i + 1, j : j + 1], *domain)
+                out += [tensor_nets(cell.rectangle(box)) for box in boxes]
             continue
         found = _cell_triangles(boundary, domain)
         if isinstance(found, str):
             return found
-        out += [compose(patch, domain, triangle)[None] for triangle in found]
+        out += [compose(grid.patches[i, j], domain, triangle)[None] for triangle in found]
     return out or "nothing is left inside of its trims"
 
 
@@ -366,15 +351,3 @@ def _cell_triangles(boundary: list[np.ndarray], domain: np.ndarray) -> list[np.n
     for triangle in found:
         triangle[:, :2] = triangle[:, :2] * size + low * triangle[:, 2:]
     return found
-
-
-def _box(patch: np.ndarray, domain: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Return the two triangles of a patch restricted to a rectangle."""
-    low, size = domain[:, :1], domain[:, 1:] - domain[:, :1]
-    for axis, (a, b) in enumerate((box - low) / size):
-        n = patch.shape[axis] - 1
-        knots = np.array([0.0] * (n + 1) + [1.0] * (n + 1))
-        matrices, _first, intervals = bezier_matrices(knots, n, [a, b])
-        at = int(np.argmin(np.abs(intervals - [a, b]).sum(axis=1)))
-        patch = np.moveaxis(np.tensordot(matrices[at], patch, (1, axis)), 0, axis)
-    return tensor_nets(patch[None])
