@@ -54,7 +54,7 @@ def row(path: Path) -> list[str]:
     """Return one line of the table."""
     start = time.perf_counter()
     try:
-        model = cad.read(path)
+        model = cad.read_here(path)
     except BezierError as error:
         return [path.name, "-", "-", str(error).split(": ", 1)[-1][:60], "", "", ""]
     seconds = time.perf_counter() - start
