@@ -11,7 +11,7 @@ from mitsuba_bezier import io
 from mitsuba_bezier.errors import FileFormatError
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.triangles import BezierTriangles
-from mitsuba_bezier.io import FormatWarning
+from mitsuba_bezier.io import FormatWarning, meshes
 from mitsuba_bezier.io.lattices import (
     hexahedron_lattice,
     quad_lattice,
@@ -367,6 +367,52 @@ def test_vtk_impossible_sizes(tmp_path, kind, size):
     path.write_text(vtu_text([kind], [np.arange(size)], points))
     with pytest.raises(FileFormatError, match=f"fits VTK_.*got {size} points in cell 0"):
         io.load(path)
+
+
+# ---------------------------------------------------------------------------- meshio
+
+
+@pytest.mark.parametrize(
+    "suffix, kind",
+    [
+        (".inp", "triangle6"),
+        (".inp", "quad8"),
+        (".bdf", "triangle"),
+        (".bdf", "quad9"),
+        (".mesh", "triangle"),
+        (".mesh", "quad"),
+        (".inp", "tetra10"),
+        (".inp", "hexahedron20"),
+        (".mesh", "hexahedron"),
+    ],
+)
+def test_meshes_of_other_programs(tmp_path, suffix, kind):
+    meshio = pytest.importorskip("meshio")
+    _kind, lattice = meshes._TYPES[kind]
+    nodes = lattice[:, 1:] if _kind in ("triangle", "tetra") else lattice
+    points = np.pad(nodes / lattice.max(), ((0, 0), (0, 3 - nodes.shape[1])))
+    path = tmp_path / f"a{suffix}"
+    meshio.Mesh(points, [(kind, np.arange(len(points))[None])]).write(path)
+    model = meshes.read_here(path)
+    assert not model.report.refused
+    if _kind in ("triangle", "quad"):
+        area = sum(normal[:, 2] @ weight for _p, normal, weight in map(flux, model.groups))
+        # 1e-7: some of these formats write few digits
+        assert area == pytest.approx(0.5 if _kind == "triangle" else 1.0, abs=1e-7)
+    else:
+        assert volume(model.triangles()) == pytest.approx(
+            1 / 6 if _kind == "tetra" else 1, abs=1e-7
+        )
+
+
+@pytest.mark.parametrize("suffix", [".inp", ".bdf", ".mesh"])
+def test_bad_meshes(tmp_path, suffix):
+    pytest.importorskip("meshio")
+    path = tmp_path / f"a{suffix}"
+    for data in (b"", b"garbage\n" * 10, bytes(range(256))):
+        path.write_bytes(data)
+        with pytest.raises(FileFormatError, match=rf"a\{suffix}"):
+            meshes.read_here(path)
 
 
 # ---------------------------------------------------------------------------- Gmsh itself

@@ -1,0 +1,106 @@
+"""Quadratic meshes of other programs through meshio (the extra ``[mesh]``).
+
+Abaqus ``.inp``, Nastran ``.bdf`` and ``.nas``, Medit ``.mesh``. Gmsh and VTK files have readers
+of their own here, which know all orders and need no other package.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileFormatError
+from .cells import Cells, add_cells, add_surface
+from .files import damaged, read_bytes
+from .isolated import read_isolated
+from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_lattice
+from .report import Collector, Model
+from .tensor_nets import homogeneous
+
+__all__ = ["read", "read_here"]
+
+#: meshio's cell types, whose nodes are in the order of VTK: kind and lattice.
+_TYPES: dict[str, tuple[str, np.ndarray]] = {
+    "triangle": ("triangle", triangle_lattice(1)),
+    "triangle6": ("triangle", triangle_lattice(2)),
+    "quad": ("quad", quad_lattice(1, 1, "vtk")),
+    "quad8": ("quad", quad_lattice(2, 2, "vtk")[:8]),
+    "quad9": ("quad", quad_lattice(2, 2, "vtk")),
+    "tetra": ("tetra", tetra_lattice(1, "vtk")),
+    "tetra10": ("tetra", tetra_lattice(2, "vtk")),
+    "hexahedron": ("hexahedron", hexahedron_lattice(1)),
+}
+
+#: The edges of VTK's 20-node hexahedron, as pairs of corners.
+_HEXA_EDGES = (
+    *((0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)),
+    *((0, 4), (1, 5), (2, 6), (3, 7)),
+)
+_CORNERS = 2 * hexahedron_lattice(1)
+_TYPES["hexahedron20"] = (
+    "hexahedron",
+    np.concatenate([_CORNERS, [(_CORNERS[a] + _CORNERS[b]) // 2 for a, b in _HEXA_EDGES]]),
+)
+
+
+def read(path: str | PathLike[str]) -> Model:
+    """Read a mesh in a process of its own (see `isolated`).
+
+    Raises
+    ------
+    FileFormatError
+        If meshio is not installed, the file is missing or damaged, or holds no surface.
+    """
+    return read_isolated("meshes", path)
+
+
+def read_here(path: str | PathLike[str]) -> Model:
+    """Read a mesh in this process."""
+    read_bytes(path)
+    meshio = _library()
+    try:
+        mesh = meshio.read(path)
+    except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
+        text = str(error).splitlines()
+        reason = f"{type(error).__name__}: {text[0] if text else ''}"
+        raise damaged(path, "a file that meshio can read", reason) from None
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] not in (2, 3):
+        raise damaged(path, "a mesh with points", "none")
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    collector = Collector(path, "mesh")
+    surfaces: list[Cells] = []
+    volumes: list[Cells] = []
+    for block in mesh.cells:
+        nodes = np.asarray(block.data)
+        if block.type == "vertex" or block.type.startswith("line"):
+            collector.report.remarks.append(f"{len(nodes)} cells of type {block.type}")
+        elif block.type not in _TYPES:
+            collector.report.refuse(f"cells of type {block.type}", "not supported", len(nodes))
+        elif ((nodes < 0) | (nodes >= len(points))).any():
+            raise damaged(path, f"nodes from 0 to {len(points) - 1}", "others")
+        else:
+            kind, lattice = _TYPES[block.type]
+            (surfaces if kind in ("triangle", "quad") else volumes).append(
+                Cells(kind, lattice, nodes)
+            )
+    net = homogeneous(points)
+    for cells in surfaces:
+        source = collector.report.faces + np.arange(len(cells.nodes))
+        add_cells(collector, cells, net, source)
+    add_surface(collector, volumes, surfaces, net, collector.report.faces)
+    return collector.model(lambda: damaged(path, "surface elements", "none in this file"))
+
+
+def _library() -> Any:
+    try:
+        import meshio
+    except ImportError as error:
+        raise FileFormatError.expected(
+            "path",
+            "a file that can be read",
+            f"a mesh, which needs meshio ({error}): pip install 'mitsuba-bezier[mesh]'",
+        ) from None
+    return meshio
