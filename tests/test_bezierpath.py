@@ -215,8 +215,8 @@ def two_lamps(kind: str) -> Any:
     ],
 )
 def test_lamps_with_a_bezier_surface(scene, parameters):
-    # emission that is met by chance has heavy tails: more samples bring them nearer to normal
-    spp = 6 * SPP
+    # small lamps have heavy tails: more samples bring them nearer to normal
+    spp = 2 * SPP
     native = moments(scene("native"), path(**parameters), spp, 0)
     ours = moments(scene("tetrahedral"), bezierpath(**parameters), spp, 5000)
     share = share_that_agrees(native, ours, spp)

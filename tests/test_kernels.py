@@ -197,12 +197,16 @@ def check_hits(
     p = patches.points(np.array(hit.patch), np.stack([u, v], axis=1))
     size = np.abs(o).max() + np.linalg.norm(d, axis=1)
     off = (np.linalg.norm(o + t[:, None] * d - p, axis=1) / size).max()
-    # any hit agrees: there is one, and none before the nearest
+    check_any_hit(structure, float_type, columns, t)
+    return off, structure
+
+
+def check_any_hit(structure: Any, float_type: Any, columns: Any, t: np.ndarray) -> None:
+    """Check that any hit agrees: there is one, and none before the nearest."""
     for end, expected in ((np.inf, True), (t * (1 + 1e-4), True), (t * (1 - 1e-4), False)):
         limit = float_type(np.broadcast_to(end, t.shape).copy())
         blocked = intersect(structure, *columns, limit, any_hit=True)
         assert (np.array(blocked.valid) == expected).all()
-    return off, structure
 
 
 @pytest.mark.parametrize(
@@ -215,6 +219,50 @@ def test_rays_through_points_of_a_net(n, kind):
     # as differences from the unit triangle, a tenth of the size of a leaf
     assert off < (2e-7 if kind == "float32" else 2e-8)
     assert structure.has_groups == (n == 1) and structure.has_affine == (n > 1)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_grazing_rays(n):
+    # at half a degree to six degrees the march has to creep along the surface, and a bound that
+    # is too bold jumps over both meetings
+    patches = random_nets(n, 3, seed=30 + n)
+    rng = np.random.default_rng(n)
+    count = 50_000
+    which, uv = rng.integers(0, 3, count), inner_points(count, n)
+    target, normal = patches.points(which, uv), patches.normals(which, uv)
+    along = np.cross(normal, rng.normal(size=(count, 3)))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    slope = rng.choice([-1, 1], count) * rng.uniform(0.008, 0.06, count)
+    d = (along + slope[:, None] * normal).astype(np.float32)
+    o = (target - d * rng.uniform(0.5, 2, (count, 1))).astype(np.float32)
+    d = (target - o).astype(np.float32)
+    structure = build_structure(build_leaves(patches), llvm.Float)
+    columns = [[llvm.Float(np.ascontiguousarray(a[:, c])) for c in range(3)] for a in (o, d)]
+    hit = intersect(structure, *columns, dr.full(llvm.Float, np.inf, count))
+    t = np.array(hit.t).astype(np.float64)
+    # 1e-3: a rounding of the direction is felt a hundredfold at this slant
+    late = ~(t < 1 + 1e-3)
+    assert not late.any(), f"{late.sum()} missed, first {o[late][0]}, {d[late][0]}"
+
+
+#: Rays that were missed once: where the march forgot the slope's error, or gave up too early.
+#: Degree and seed of the net, origin, direction; each meets its net at t = 1.
+MISSED = [
+    (2, 40, [-0.9678848, 2.448512, -0.21915801], [1.7228041, -2.2239385, 0.19757396]),
+    (4, 26, [-0.35495013, 2.1338065, 0.7283852], [0.43461105, -1.7769591, -0.67953587]),
+    (6, 35, [0.26957524, 0.34574288, 0.017278817], [-0.0483027, 0.40323603, 0.013059531]),
+    (8, 28, [1.7064887, 1.6273876, 0.07075968], [-1.1228011, -1.375615, -0.069507286]),
+    (8, 24, [-1.4638399, 0.06921322, 0.13408363], [1.4785354, 0.086522125, -0.12944534]),
+]
+
+
+@pytest.mark.parametrize(("n", "seed", "o", "d"), MISSED)
+def test_rays_that_were_missed(n, seed, o, d):
+    structure = build_structure(build_leaves(random_nets(n, 3, seed=seed)), llvm.Float)
+    hit = intersect(
+        structure, [llvm.Float(x) for x in o], [llvm.Float(x) for x in d], llvm.Float(np.inf)
+    )
+    assert hit.t[0] == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.parametrize("kind", FLOATS)
@@ -276,6 +324,7 @@ def test_unusual_weights(name, weights):
     t = np.array(hit.t).astype(np.float64)
     late = ~(t < 1 + 1e-3)
     assert not late.any(), f"{late.sum()} of {len(t)} missed, first {o[late][0]}, {d[late][0]}"
+    check_any_hit(structure, llvm.Float, columns, t)
     p = patches.points(np.array(hit.patch), np.stack([np.array(hit.u), np.array(hit.v)], axis=1))
     # (u, v) are float32: near infinity a rounding of them is a long way
     on = np.linalg.norm(p, axis=1) < 20

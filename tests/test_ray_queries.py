@@ -76,6 +76,25 @@ def test_a_million_rays_from_everywhere(sphere):
     check_hits(sphere, *ball_rays(1_000_000, seed=1))
 
 
+def test_rays_that_were_missed(sphere):
+    # up to 5e-5 inside the silhouette, where the march once forgot an error of the slope
+    o = [
+        [-1.3476462, 1.0660553, -1.8158678],
+        [-1.1926343, 1.7599273, 1.3154008],
+        [0.9617986, -0.12256945, -2.3043263],
+        [0.3270289, 1.2454143, 2.1428943],
+        [0.40136307, -1.7528274, -1.7368084],
+    ]
+    d = [
+        [0.7308247, -0.5594912, 0.39097932],
+        [0.6576001, -0.36281598, -0.66024745],
+        [-0.70502913, 0.1561983, 0.691763],
+        [-0.40773493, -0.67537606, -0.61450744],
+        [-0.26880422, 0.89637595, 0.3524974],
+    ]
+    assert np.isfinite(numbers(sphere.ray_intersect_preliminary(ray_of(o, d)).t)).all()
+
+
 def test_rays_from_inside(sphere):
     o, d = ball_rays(100_000, seed=2, start=0.95)
     truth, _ = analytic_sphere(o, d)
