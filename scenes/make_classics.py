@@ -1,7 +1,8 @@
 """Write the Utah teapot, teacup and teaspoon: ``python scenes/make_classics.py``.
 
 The bicubic patches are in ``newell_teaset.txt``, with their origin; each becomes two Bézier
-triangles of degree 6. The z axis points up, normals point outward; the pot and the cup stand on the plane z = 0.
+triangles of degree 6. The z axis points up, normals point outward; the pot and the cup stand on
+the plane z = 0.
 """
 
 from __future__ import annotations
