@@ -8,7 +8,8 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import _runtime
-from .scene_data import Preliminary, SceneData, data_for_scene
+from .interaction import Preliminary
+from .scene_data import SceneData, data_for_scene
 
 __all__ = ["SceneRays", "ray_intersect", "ray_test"]
 

@@ -139,7 +139,7 @@ class SurfaceSampling:
         return self._position(first + patch, u, v, p, r, active)
 
     def _position(self, patch: Any, u: Any, v: Any, p: Any, r: Any, active: Any) -> Any:
-        point, n, density = self.data.point_and_normal(patch, u, v, active)
+        point, n, density = self.data.tables.point_and_normal(patch, u, v, active)
         ps = dr.zeros(mi.PositionSample3f, dr.width(u))
         ps.p, ps.n, ps.uv = point, n, mi.Point2f(u, v)
         ps.pdf = dr.select(density > 0, 2.0 * p * mi.Float(r * r) / density, 0.0)
@@ -157,5 +157,5 @@ class SurfaceSampling:
         cell = ((patch - first) * r + mi.UInt32(i)) * r + mi.UInt32(j)
         cell = offset + 2 * cell + dr.select(down, mi.UInt32(1), 0)
         p = dr.gather(mi.Float, self.probability, cell, active)
-        _point, _n, density = self.data.point_and_normal(patch, uv.x, uv.y, active)
+        _point, _n, density = self.data.tables.point_and_normal(patch, uv.x, uv.y, active)
         return dr.select(active & (density > 0), 2.0 * p * mi.Float(r * r) / density, 0.0)
