@@ -238,8 +238,7 @@ def _quarter_plane(rng: Rng, count: int, settings, name: str) -> Line:
     size = 1 + np.abs(ab).sum(axis=1) + np.linalg.norm(o, axis=1)
     # nearly parallel rays may meet the horizon on either side
     cosine = np.abs(d.astype(float) @ n)
-    # grazing rays have the wider band of `edge_tolerance`
-    band = 1e-4 + 2e-7 / np.maximum(cosine, 1e-9)
+    band = 1e-4
     with np.errstate(invalid="ignore"):
         judged = (~np.isfinite(t) | (np.abs(ab).min(axis=1) > band * size)) & ~(t > 1e6)
     judged &= cosine > 1e-6

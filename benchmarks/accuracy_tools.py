@@ -123,6 +123,8 @@ def describe(o: np.ndarray, d: np.ndarray, wrong: np.ndarray, *columns: Any) -> 
 
 #: Relative change of the input that float32 may make of it: some ten roundings of 6e-8.
 PRECISION = 1e-6
+#: The same for what is computed in float64 from the start: the ends at infinity.
+FLOAT64 = 1e-9
 #: Band along edges, in parameters.
 EDGE = 1e-4
 
@@ -140,8 +142,8 @@ def against_reference(
     A ray counts if moving patch and ray by `PRECISION` cannot change its answer. A hit is wrong
     if it is missed or invented, or off along the surface's normal by more than
     ``1e-5 scale``, where roots nearer to each other than that do not count. With `relative`
-    the error of `t` is held to it too, for all hits whose `t` changes by less than a quarter
-    of that when the input is rounded to float32.
+    the error of `t` is held to it too, up to ``t = 1e6``, for all hits whose `t` changes by less
+    than a quarter of that when the hit point is rounded to float32.
     """
     truth = first_hit(tracer.patches, o.astype(float), d.astype(float))
     got = tracer(o, d)
@@ -168,9 +170,11 @@ def against_reference(
     passed = not bad.any()
     if relative is not None:
         with np.errstate(invalid="ignore", divide="ignore"):
-            condition = 2 * 6e-8 * truth.margin.scale / (truth.margin.cosine * truth.t * length)
+            size = _size(o, truth.t * length)
+            condition = 2 * 6e-8 * size / (truth.margin.cosine * truth.t * length)
             off = error / truth.t
-        firm = both & (condition < relative / 4)
+            sure = truth.margin.decidable(FLOAT64, EDGE if boundary else 0.0, boundary)
+            firm = sure & hit & got.valid & (condition < relative / 4) & (truth.t * length <= 1e6)
         worst = float(off[firm].max(initial=0.0))
         reach = float((truth.t * length)[firm].max(initial=0.0))
         bad = bad | (firm & (off > relative))
@@ -180,6 +184,11 @@ def against_reference(
         passed = not bad.any()
     failures = describe(o, d, bad, got.valid, got.t, truth.t, truth.patch, truth.uv)
     return Line(what, int(decided.sum()), required, measured, passed, values, failures)
+
+
+def _size(o: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Return the size of the coordinates of hits; at least 1, the size of the surfaces here."""
+    return np.maximum(np.linalg.norm(o.astype(float), axis=1) + along, 1.0)
 
 
 def against_truth(
@@ -210,7 +219,7 @@ def against_truth(
     hit = np.isfinite(t)
     both = judged & hit & got.valid
     length = np.linalg.norm(d.astype(float), axis=1)
-    size = np.linalg.norm(o.astype(float), axis=1) + np.where(hit, t, 0.0) * length
+    size = _size(o, np.where(hit, t, 0.0) * length)
     cosine = np.maximum(np.abs(np.where(hit, cosine, 1.0)), 1e-9)
     with np.errstate(invalid="ignore"):
         error = np.where(both, np.abs(got.t - t) * length, 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import bernstein
-from .leaves import FORM, FORM_ENTRIES, LEAST, Leaves
+from .leaves import DEVIATION, FORM, FORM_ENTRIES, LEAST, Leaves
 from .triangles import BezierTriangles
 
 __all__ = ["exact_leaves"]
@@ -190,7 +190,30 @@ def _group(leaves: Leaves, patches: BezierTriangles) -> Leaves:
             if len(part) > 1:
                 _share(leaves, part, flat, middle, scale)
     leaves.group = group
+    leaves.form[:, DEVIATION] = _deviation(leaves, patches)
     return leaves.select(np.argsort(group, kind="stable"))
+
+
+def _deviation(leaves: Leaves, patches: BezierTriangles) -> np.ndarray:
+    """Return the largest distance ``(L,)`` of points of each patch from its group's quadric.
+
+    In sizes of the patch, to first order: ``|f| / |grad f|``. It is rounding: that of float64,
+    or of float32 where the net came through it.
+    """
+    lattice = bernstein.multi_indices(4)[:, :2] / 4.0
+    points = bernstein.basis(patches.degree, lattice) @ patches.control_points
+    points[..., :3] -= points[..., 3:] * leaves.shift[:, None]
+    forms = _matrices(leaves.form)
+    gradient = np.einsum("lab,lsb->lsa", forms, points)
+    value = np.abs(np.einsum("lsa,lsa->ls", points, gradient))
+    slope = 2 * np.linalg.norm(gradient[..., :3], axis=-1)
+    _centre, size = _centre_and_size(patches)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = value / (slope * np.abs(points[..., 3]) * size[:, None])
+    # no number where a point is at infinity or the gradient vanishes, as at the tip of a cone
+    distance = np.where(np.isfinite(distance), distance, 0.0)
+    # 2: between the samples, and what the neighbour's quadric is off
+    return np.minimum(2 * distance.max(axis=1) + 1e-12, 1e-6)
 
 
 def _by_label(label: np.ndarray) -> list[np.ndarray]:

@@ -36,7 +36,7 @@ import numpy as np
 
 from . import bernstein
 
-__all__ = ["FORM", "FORM_ENTRIES", "LEAST", "LeafSettings", "Leaves"]
+__all__ = ["DEVIATION", "FORM", "FORM_ENTRIES", "LEAST", "LeafSettings", "Leaves"]
 
 
 #: Numbers in `Leaves.form`.
@@ -46,6 +46,9 @@ FORM = 13
 #: where the rows of the frame give ``U`` on ``(p - shift, 1)``. All four vanish at the centre of
 #: projection, which is not on the patch unless this is zero.
 LEAST = 10
+
+#: Place of the largest distance of an exact leaf's patch from its quadric, in patch sizes.
+DEVIATION = 11
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
 FORM_ENTRIES = (
@@ -100,7 +103,7 @@ class Leaves:
     exact: np.ndarray  #: (L,) bool
     shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
     frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: u, v, w, 0) on (p - shift, 1)
-    form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric, `LEAST`)
+    form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric and more)
     net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1); zero for exact leaves
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
     certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold

@@ -10,7 +10,7 @@ from typing import Any
 
 import drjit as dr
 
-from .arrays import Types, dot3, gather_packets
+from .arrays import Types, dot3, gather_packets, types_of
 from .net import horner
 from .quadric import edge_tolerance
 from .structure import AFFINE, BOUND_UNIT, HEAD, PROJECTIVE, Structure
@@ -20,6 +20,9 @@ __all__ = ["ChartLine", "cull", "march"]
 #: Steps below this (in leaf sizes) are the last: the error after it is its square times the
 #: leaf's bending, below the rounding of float32.
 LAST_STEP = 3e-4
+#: ... and in projective charts, where a point at distance t lies 1/t of the leaf's size from
+#: the plane at infinity: 1e-12 there is 1e-6 of t at t = 1e6.
+LAST_STEP_PROJECTIVE = 1e-6
 #: A march that has not ended after so many steps is given up as a miss.
 MAX_STEPS = 64
 
@@ -29,8 +32,8 @@ class ChartLine:
     """A ray in the chart of a leaf, as far as culling got with it.
 
     The ray is the line ``x0 + tau e``. In an affine chart ``tau`` is the ray parameter from
-    ``t0``; in a projective one ``s = (b_w + tau a_w) / (a_w - tau b_w)`` is. The surface is
-    certainly not met between the entry into the leaf's prism and ``tau``.
+    ``t0``; for projective ones see `_projective_line`. The surface is certainly not met between
+    the entry into the leaf's prism and ``tau``.
     """
 
     t0: Any  #: Float64
@@ -44,13 +47,11 @@ class ChartLine:
     tau: Any
     end: Any  #: where the ray leaves the prism
     sign: Any  #: side of the surface the ray enters on; zero where the quadratic cannot tell
-    aw: Any
-    bw: Any
 
     @staticmethod
     def zero(ty: Types) -> ChartLine:
         """Return an uninitialised value for a loop's state."""
-        zero = [dr.zeros(ty.Float) for _ in range(12)]
+        zero = [dr.zeros(ty.Float) for _ in range(10)]
         return ChartLine(dr.zeros(ty.Float64), *zero)
 
 
@@ -105,28 +106,56 @@ def _cull_affine(
     remainder = dr.square(ty.Float(bits & 0xFFFF)) * BOUND_UNIT
     margin = dr.square(ty.Float(bits >> 16)) * BOUND_UNIT
     lo, hi = ty.Float(-t0), ty.Float(ty.Float64(t_max) - t0)
-    one, zero = ty.Float(1), ty.Float(0)
-    return _cull(t0, x0, e, record[12:15], remainder, margin, lo, hi, one, zero)
+    return _cull(t0, x0, e, record[12:15], remainder, margin, lo, hi)
+
+
+def _projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, ...]:
+    """Return the image of a ray under a projective leaf's collineation, in float64.
+
+    Homogeneously the ray is ``a + s b``, ``a`` being the point nearest the shift. The image is
+    taken as ``x0 + tau e`` through ``a_w a + b_w b``, which is never at the chart's infinity, as
+    its ``w`` is ``a_w^2 + b_w^2``, and then moved to its point nearest the leaf's centre.
+
+    Returns
+    -------
+    x0, e : three Float64 each
+    parameter : function
+        Takes ``tau`` to the ray parameter.
+    both : Bool
+        Whether ``tau`` and the ray parameter need not grow together.
+    """
+    f64 = ty.Float64
+    od = [f64(o[i]) - f64(record[i]) for i in range(3)]
+    dd = [f64(d[i]) for i in range(3)]
+    t0 = -dot3(od, dd) / dot3(dd, dd)
+    near = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
+    rows = [[f64(x) for x in record[4 + 4 * r : 8 + 4 * r]] for r in range(4)]
+    a = [dot3(row, near) + row[3] for row in rows]
+    b = [dot3(row, dd) for row in rows]
+    aw, bw = a[3], b[3]
+    inv = dr.rcp(dr.fma(aw, aw, bw * bw))
+    x0 = [dr.fma(aw, a[i], bw * b[i]) * inv for i in range(3)]
+    e = [dr.fma(aw, b[i], -bw * a[i]) * inv for i in range(3)]
+    middle = -dot3([x0[0] - 1 / 3, x0[1] - 1 / 3, x0[2]], e) / dot3(e, e)
+    x0 = [dr.fma(middle, e[i], x0[i]) for i in range(3)]
+
+    def parameter(tau: Any) -> Any:
+        tau = tau + middle
+        return t0 + dr.fma(tau, aw, bw) / dr.fma(-tau, bw, aw)
+
+    return x0, e, parameter, bw != 0.0
 
 
 def _cull_projective(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, ChartLine]:
-    """As `_cull_affine`, on the line's image under the chart's collineation.
-
-    Its origin is the image of the homogeneous combination ``a_w a + b_w b`` of the ray's point
-    and direction: never at the chart's infinity, as ``w = a_w^2 + b_w^2``.
-    """
+    """As `_cull_affine`, on the line's image under the chart's collineation."""
     record = gather_packets(s.projective, leaf, PROJECTIVE, active)
-    t0, near = _nearest(ty, record[0:3], o, d)
-    rows = [record[4 + 4 * r : 8 + 4 * r] for r in range(4)]
-    a = [dot3(row, near) + row[3] for row in rows]
-    b = [dot3(row, d) for row in rows]
-    inv = dr.rcp(dr.fma(a[3], a[3], b[3] * b[3]))
-    x0 = [dr.fma(a[3], a[i], b[3] * b[i]) * inv for i in range(3)]
-    e = [dr.fma(a[3], b[i], -b[3] * a[i]) * inv for i in range(3)]
+    x0, e, _parameter, _both = _projective_line(ty, record, o, d)
+    x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
     infinity = dr.full(ty.Float, dr.inf)
-    return _cull(t0, x0, e, record[20:23], record[3], record[23], -infinity, infinity, a[3], b[3])
+    t0 = dr.zeros(ty.Float64)
+    return _cull(t0, x0, e, record[20:23], record[3], record[23], -infinity, infinity)
 
 
 def _cull(
@@ -138,8 +167,6 @@ def _cull(
     margin: Any,
     lo: Any,
     hi: Any,
-    aw: Any,
-    bw: Any,
 ) -> tuple[Any, ChartLine]:
     a, b, c = quadratic
     # |quadratic| over the unit triangle enlarged by the margin, a little more to be safe
@@ -175,7 +202,7 @@ def _cull(
     sign = dr.select(clear, sign, 0.0)
     x, y, z = x0
     ex, ey, ez = e
-    return candidate, ChartLine(t0, x, y, z, ex, ey, ez, gamma, tau, hi, sign, aw, bw)
+    return candidate, ChartLine(t0, x, y, z, ex, ey, ez, gamma, tau, hi, sign)
 
 
 def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:
@@ -189,14 +216,9 @@ def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:
 
 
 def march(
-    s: Structure, ty: Types, leaf: Any, line: ChartLine, t_max: Any, active: Any
+    s: Structure, ty: Types, leaf: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, Any, Any, Any]:
     """Find the first hit in a graph leaf.
-
-    The march keeps a chart parameter ``tau`` before which there is no (further) meeting with
-    the surface. It steps to the first zero of the quadratic lower bound that the value, the
-    slope and the stored bound on the second derivative give, which never jumps over a root
-    and converges quadratically to it, also when two roots are close.
 
     Returns
     -------
@@ -206,11 +228,94 @@ def march(
     u, v : Float
         Leaf barycentrics.
     """
-    n = s.degree
-    data = gather_packets(s.nets, leaf, HEAD + (n + 1) * (n + 2) * 2, active)
+    if not s.has_projective:
+        return _march_affine(s, ty, leaf, line, t_max, active)
+    if not s.has_affine:
+        return _march_projective(s, ty, leaf - s.first_projective, line, o, d, t_max, active)
+    return dr.if_stmt(
+        args=(leaf, line, o, d, t_max, active),
+        cond=leaf < s.first_projective,
+        true_fn=lambda leaf, line, o, d, t, a: _march_affine(s, ty, leaf, line, t, a),
+        false_fn=lambda leaf, line, o, d, t, a: _march_projective(
+            s, ty, leaf - s.first_projective, line, o, d, t, a
+        ),
+        label="bezier march",
+    )
+
+
+def _march_affine(
+    s: Structure, ty: Types, leaf: Any, line: ChartLine, t_max: Any, active: Any
+) -> tuple[Any, Any, Any, Any]:
+    data = gather_packets(s.nets, leaf, HEAD + (s.degree + 1) * (s.degree + 2) * 2, active)
+    x0, e = [line.x, line.y, line.z], [line.ex, line.ey, line.ez]
+
+    def parameter(tau: Any) -> Any:
+        return ty.Float(line.t0 + ty.Float64(tau))
+
+    return _march(s.degree, data, x0, e, line, parameter, False, LAST_STEP, t_max, active)
+
+
+def _march_projective(
+    s: Structure, ty: Types, leaf: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
+) -> tuple[Any, Any, Any, Any]:
+    """March in float64: distances to the plane at infinity are differences of numbers near one."""
+    record = gather_packets(s.projective, leaf, PROJECTIVE, active)
+    data = gather_packets(s.far_nets, leaf, HEAD + (s.degree + 1) * (s.degree + 2) * 2, active)
+    x0, e, to_t, both = _projective_line(ty, record, o, d)
+    hit, t, u, v = _march(
+        s.degree,
+        data,
+        x0,
+        e,
+        line,
+        lambda tau: ty.Float(to_t(tau)),
+        both,
+        LAST_STEP_PROJECTIVE,
+        t_max,
+        active,
+    )
+    return hit, t, ty.Float(u), ty.Float(v)
+
+
+def _march(
+    n: int,
+    data: list[Any],
+    x0: list[Any],
+    e: list[Any],
+    line: ChartLine,
+    parameter: Any,
+    all_roots: Any,
+    last_step: float,
+    t_max: Any,
+    active: Any,
+) -> tuple[Any, Any, Any, Any]:
+    """March along ``x0 + tau e``, in the precision of these.
+
+    The march keeps a chart parameter ``tau`` before which there is no (further) meeting with
+    the surface. It steps to the first zero of the quadratic lower bound that the value, the
+    slope and the stored bound on the second derivative give, which never jumps over a root
+    and converges quadratically to it, also when two roots are close.
+
+    Parameters
+    ----------
+    n : int
+        Degree.
+    data : list
+        Record of the net: variation, bending, the parameter quadratics, the coefficients.
+    line : ChartLine
+        Where culling came to.
+    parameter : function
+        Takes ``tau`` to the ray parameter.
+    all_roots : Bool
+        Whether a later root may have the smaller ray parameter.
+    last_step : float
+        Steps below this are the last.
+    """
+    ty = types_of(x0[0])
     variation, bending, net = data[0], data[1], data[HEAD:]
-    x0, y0, z0, ex, ey, ez = line.x, line.y, line.z, line.ex, line.ey, line.ez
-    gamma, end = line.gamma, line.end
+    x0, y0, z0 = x0
+    ex, ey, ez = e
+    gamma, end = ty.Float(line.gamma), ty.Float(line.end)
     lateral2 = dr.fma(ex, ex, ey * ey)
     wobble = 0.5 * variation * lateral2  # half the uncertainty of the second derivative
     speed2 = dr.fma(ez, ez, lateral2)
@@ -243,7 +348,7 @@ def march(
         slack = bending * off2  # what linear extrapolation to the ray's vertical may miss
         # The side is known from the entry on, or as soon as the value says it for certain;
         # until then the march stays where it is and only (u, v) improve.
-        certain = (sign != 0.0) | (dr.abs(value) > slack) | (off2 < 1e-10)
+        certain = (sign != 0.0) | (dr.abs(value) > slack) | (off2 < 1e-3 * last_step * last_step)
         sign = dr.select(certain & (sign == 0.0), dr.copysign(ty.Float(1), value), sign)
         # the slope is that at the foot (x, y); the ray is sqrt(off2) away from there
         tilt = 2.0 * bending * dr.sqrt(off2 * lateral2)
@@ -252,8 +357,8 @@ def march(
         delta, exists = first_root(sure, signed_slope, sign * gamma - wobble)
         delta, exists = dr.select(certain, delta, 0.0), exists | ~certain
         newton = -value / slope
-        close = (off2 < LAST_STEP * LAST_STEP) & (dr.abs(delta) * speed < LAST_STEP)
-        converged = certain & exists & close & (dr.abs(newton) * speed < LAST_STEP)
+        close = (off2 < last_step * last_step) & (dr.abs(delta) * speed < last_step)
+        converged = certain & exists & close & (dr.abs(newton) * speed < last_step)
         # on the last step the first-order term decides, without the slack
         delta = dr.select(converged, newton, delta)
         tau = tau + delta
@@ -263,10 +368,7 @@ def march(
         normal2 = 1.0 + dr.square(zu) + dr.square(zv)
         tolerance = edge_tolerance(dr.abs(slope) * dr.rsqrt(speed2 * normal2))
         inside = dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance
-        ray = tau
-        if s.has_projective:
-            ray = dr.fma(tau, line.aw, line.bw) / dr.fma(-tau, line.bw, line.aw)
-        t = ty.Float(line.t0 + ty.Float64(ray))
+        t = parameter(tau)
         accept = run & converged & inside & (t > 0.0) & (t < best)
         hit = hit | accept
         best = dr.select(accept, t, best)
@@ -274,10 +376,7 @@ def march(
 
         # go on from the other side of the surface, if the bound lets it come back
         back = sign * gamma + wobble
-        more = ~accept
-        if s.has_projective:
-            more = more | (line.bw != 0.0)  # tau and t need not grow together
-        again = converged & more & (back > 0.0)
+        again = converged & (~accept | all_roots) & (back > 0.0)
         tau = dr.select(again, tau + dr.abs(slope) / back, tau)
         far_u, far_v = start(tau)
         sign = dr.select(again, -sign, sign)
@@ -286,9 +385,11 @@ def march(
         goes = dr.select(converged, again, exists) & (tau <= end) & (step < MAX_STEPS)
         return run & goes, step, tau, u, v, sign, hit, best, best_u, best_v
 
-    u, v = start(line.tau)
+    tau = ty.Float(line.tau)
+    u, v = start(tau)
     zero = dr.zeros(ty.Float)
-    state = (active, ty.UInt(0), line.tau, u, v, line.sign, ty.Bool(False), t_max, zero, zero)
+    sign = ty.Float(line.sign)
+    state = (active, ty.UInt(0), tau, u, v, sign, ty.Bool(False), t_max, zero, zero)
     _run, _step, _tau, _u, _v, _sign, hit, best, best_u, best_v = dr.while_loop(
         state,
         cond=lambda *st: st[0],

@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry import bernstein
 from .arrays import gather_packets
 
-__all__ = ["affine_partials", "evaluate", "pack", "padded_width"]
+__all__ = ["affine_partials", "bernstein_basis", "evaluate", "pack", "padded_width"]
 
 
 def padded_width(n: int) -> int:
@@ -28,7 +28,8 @@ def _multinomials(n: int) -> tuple[float, ...]:
     )
 
 
-def _basis(n: int, u: Any, v: Any, w: Any) -> list[Any]:
+def bernstein_basis(n: int, u: Any, v: Any, w: Any) -> list[Any]:
+    """Return the Bernstein polynomials of degree `n`, in net order."""
     powers = []
     for x in (u, v, w):
         p: list[Any] = [None, x]
@@ -70,7 +71,7 @@ def evaluate(
     """
     net = gather_packets(buffer, patch, bernstein.size(n) * 4, active)
     w = 1.0 - u - v
-    basis = _basis(n - 1, u, v, w)
+    basis = bernstein_basis(n - 1, u, v, w)
     corner: list[list[Any]] = [[None] * 4 for _ in range(3)]
     for b, (i, j, _k) in zip(basis, bernstein.multi_indices(n - 1).tolist()):
         rows = (bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1), bernstein.row(n, i, j))

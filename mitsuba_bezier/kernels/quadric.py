@@ -17,14 +17,19 @@ EDGE = 1e-6
 #: ... and at grazing angles, where an error across the surface is an error along it divided
 #: by the cosine; never more than this.
 EDGE_GRAZING = 3e-3
+#: Error across the surface of a graph leaf in float32, in leaf sizes.
+ACROSS = 1e-7
 #: Rounding of a member's rows, in their own scale; it matters where all three coordinates are
 #: small, at the centre of projection (the tip of a lune).
 ROWS = 2e-7
 
 
-def edge_tolerance(cosine: Any) -> Any:
-    """Return the tolerance in leaf barycentrics for a hit at this ``|cos|``."""
-    return dr.minimum(EDGE_GRAZING, EDGE + 1e-7 * dr.rcp(dr.maximum(cosine, 1e-12)))
+def edge_tolerance(cosine: Any, across: Any = ACROSS) -> Any:
+    """Return the tolerance in leaf barycentrics for a hit at this ``|cos|``.
+
+    `across` is by how much, in leaf sizes, the surface that was met may differ from the patch.
+    """
+    return dr.minimum(EDGE_GRAZING, EDGE + across * dr.rcp(dr.maximum(cosine, 1e-12)))
 
 
 def group_hit(
@@ -74,7 +79,7 @@ def group_hit(
     want2 = valid & (t2 > 0.0) & (t2 < t_max)
     gradient = dr.sqrt(ty.Float(dot3([ax, ay, az], [ax, ay, az])))
     length = dr.sqrt(dot3(d, d))
-    tolerance = edge_tolerance(ty.Float(root) * dr.rcp(gradient * length))
+    tolerance = edge_tolerance(ty.Float(root) * dr.rcp(gradient * length), ty.Float(g[15]))
     p1 = [ty.Float(dr.fma(near, dd[i], p[i])) for i in range(3)]
     p2 = [ty.Float(dr.fma(far, dd[i], p[i])) for i in range(3)]
 

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import LEAST, Leaves
+from ..geometry.leaves import DEVIATION, LEAST, Leaves
 from ..geometry.tree import build_tree
 from .arrays import types_of, upload
 
@@ -23,7 +23,7 @@ AFFINE = 16
 PROJECTIVE = 24
 #: Floats before the net: variation, bending, the six numbers of the parameter quadratics.
 HEAD = 8
-#: Float64 in a group: quadric 10, shift 3, first member, number of members.
+#: Float64 in a group: quadric 10, shift 3, first member, number of members, `DEVIATION`.
 GROUP = 16
 #: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`.
 MEMBER = 16
@@ -48,7 +48,8 @@ class Structure:
     first_group: Any  #: UInt, and of the third
     affine: Any  #: Float32, x `AFFINE`
     projective: Any  #: Float32, x `PROJECTIVE`
-    nets: Any  #: Float32, x (`HEAD` + K * 4), padded to packets of eight
+    nets: Any  #: Float32, x (`HEAD` + K * 4), padded to packets of eight; affine leaves
+    far_nets: Any  #: Float64, the same for projective leaves
     groups: Any  #: Float64, x `GROUP`
     members: Any  #: Float32, x `MEMBER`
     rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
@@ -116,7 +117,8 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
         "nodes": nodes,
         "affine": _affine_records(leaves, affine),
         "projective": _projective_records(leaves, projective),
-        "nets": _nets(leaves, graph),
+        "nets": _nets(leaves, affine).astype(np.float32),
+        "far_nets": _nets(leaves, projective),
         "groups": _groups(leaves, exact, group_first, group_size),
         "members": _members(leaves, exact, len(graph)),
         "rows": np.pad(leaves.frame[exact, :3].reshape(-1, 12), ((0, 0), (0, MEMBER - 12))),
@@ -174,7 +176,7 @@ def _projective_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
 
 def _nets(leaves: Leaves, which: np.ndarray) -> np.ndarray:
     width = HEAD + leaves.net.shape[1] * 4
-    out = np.zeros((len(which), -(-width // 8) * 8), dtype=np.float32)
+    out = np.zeros((len(which), -(-width // 8) * 8))
     out[:, 0:2] = leaves.form[which, 4:6]
     out[:, 2:8] = leaves.form[which, 7:13]
     out[:, HEAD:width] = leaves.net[which].reshape(len(which), width - HEAD)
@@ -187,6 +189,8 @@ def _groups(leaves: Leaves, exact: np.ndarray, first: np.ndarray, size: np.ndarr
     out[:, :10] = leaves.form[head, :10]
     out[:, 10:13] = leaves.shift[head]
     out[:, 13], out[:, 14] = first, size
+    if len(first):
+        out[:, 15] = np.maximum.reduceat(leaves.form[exact, DEVIATION], first)
     return out
 
 

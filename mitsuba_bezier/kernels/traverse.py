@@ -72,13 +72,13 @@ def intersect(
                 args=(found, index, line, t),
                 cond=found & (index >= s.first_group),
                 true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.first_group, o, d, t, m),
-                false_fn=lambda m, i, line, t: (*march(s, ty, i, line, t, m), i),
+                false_fn=lambda m, i, line, t: (*march(s, ty, i, line, o, d, t, m), i),
                 label="bezier leaf kind",
             )
         elif s.has_groups:
             accept, t_new, u_new, v_new, leaf_new = group_hit(s, ty, index, o, d, t, found)
         else:
-            accept, t_new, u_new, v_new = march(s, ty, index, line, t, found)
+            accept, t_new, u_new, v_new = march(s, ty, index, line, o, d, t, found)
             leaf_new = index
         t = dr.select(accept, t_new, t)
         leaf = dr.select(accept, leaf_new, leaf)
