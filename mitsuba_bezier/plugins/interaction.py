@@ -8,20 +8,33 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels.curvature import affine_second_partials, evaluate_second
 from ..kernels.patch import affine_partials, evaluate
 
 __all__ = ["PatchTables", "Preliminary", "surface_interaction"]
+
+#: Sine between dp_du and dp_dv, squared, below which float32 cannot tell a normal any more.
+_FLAT = 1e-10
+#: Step towards the centroid, far enough for float32 to see an angle, near enough to be the limit.
+_STEP = 1e-3
 
 
 @dataclass
 class Preliminary:
     """A hit of either kind: Mitsuba's record, and the patch where it is one of ours."""
 
-    pi: Any  #: mi.PreliminaryIntersection3f; prim_uv and prim_index are set for patches too
-    bezier: Any  #: Bool
-    patch: Any  #: UInt, number among all patches of the structure
+    # Dr.Jit selects between records only if they have defaults
+    pi: Any = None  #: mi.PreliminaryIntersection3f; prim_uv and prim_index are set for patches too
+    bezier: Any = None  #: Bool
+    patch: Any = None  #: UInt, number among all patches of the structure
 
     DRJIT_STRUCT = {"pi": Any, "bezier": Any, "patch": Any}
+
+    @staticmethod
+    def miss() -> Preliminary:
+        """Return a record of no hit, as the state of a loop before its first query."""
+        pi = dr.zeros(mi.PreliminaryIntersection3f)
+        return Preliminary(pi, mi.Bool(False), mi.UInt32(0))
 
 
 @dataclass
@@ -35,6 +48,7 @@ class PatchTables:
     degree: int
     shape_of: Any  #: UInt, number of the shape of each patch
     orientation: Any  #: Float per shape, the sign of the normal along dp_du x dp_dv
+    texcoords: Any = None  #: Float, six a patch (uv at A, B, C), or None: uv is (u, v)
 
     def partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point and its first partials by the parameters."""
@@ -47,32 +61,108 @@ class PatchTables:
         p, pu, pv = self.partials(patch, u, v, active)
         n = dr.cross(pu, pv)
         # collapsed edges and corners: the limit from inside
-        flat = active & ~(dr.squared_norm(n) > 1e-10 * dr.squared_norm(pu) * dr.squared_norm(pv))
+        flat = active & _is_flat(n, pu, pv)
         n = dr.if_stmt(
             args=(n, patch, u, v, flat),
             cond=flat,
             true_fn=lambda n, patch, u, v, flat: self._limit_normal(patch, u, v, flat),
             false_fn=lambda n, patch, u, v, flat: n,
         )
-        number = dr.gather(mi.UInt32, self.shape_of, patch, active)
-        return p, pu, pv, n * dr.gather(mi.Float, self.orientation, number, active)
+        return p, pu, pv, n * self.sign(patch, active)
+
+    def normal_partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
+        """Return the partials of the unit normal by the parameters.
+
+        With ``N = p_u x p_v`` they are the parts across ``N`` of its partials over ``|N|``.
+        Where the patch is collapsed they are those of a point nearby inside.
+        """
+        _p, pu, pv = self.partials(patch, u, v, active)
+        flat = _is_flat(dr.cross(pu, pv), pu, pv)
+        h = evaluate_second(
+            self.nets,
+            self.degree,
+            patch,
+            dr.select(flat, u + _STEP * (1 / 3 - u), u),
+            dr.select(flat, v + _STEP * (1 / 3 - v), v),
+            active,
+        )
+        pu, pv, puu, puv, pvv = (mi.Vector3f(*x) for x in affine_second_partials(h)[1:])
+        n = dr.cross(pu, pv)
+        inv = dr.rsqrt(dr.squared_norm(n))
+        inv = dr.select(dr.isfinite(inv), inv, 0.0)
+        n *= inv
+        inv = inv * self.sign(patch, active)
+        nu = (dr.cross(puu, pv) + dr.cross(pu, puv)) * inv
+        nv = (dr.cross(puv, pv) + dr.cross(pu, pvv)) * inv
+        return nu - n * dr.dot(n, nu), nv - n * dr.dot(n, nv)
 
     def point_and_normal(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point, the unit normal and ``|dp_du x dp_dv|`` at parameters of a patch."""
         p, pu, pv, n = self.geometry(patch, u, v, active)
         return p, mi.Normal3f(dr.normalize(n)), dr.norm(dr.cross(pu, pv))
 
+    def sign(self, patch: Any, active: Any) -> Any:
+        """Return the sign of the normal along ``dp_du x dp_dv``."""
+        number = dr.gather(mi.UInt32, self.shape_of, patch, active)
+        return dr.gather(mi.Float, self.orientation, number, active)
+
+    def texture(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return the texture coordinates and their constant partials by the parameters."""
+        if self.texcoords is None:
+            return mi.Point2f(u, v), mi.Vector2f(1, 0), mi.Vector2f(0, 1)
+        a, b, c = (
+            mi.Vector2f(*(dr.gather(mi.Float, self.texcoords, 6 * patch + k, active) for k in ks))
+            for ks in ((0, 1), (2, 3), (4, 5))
+        )
+        du, dv = a - c, b - c
+        return mi.Point2f(dr.fma(u, du, dr.fma(v, dv, c))), du, dv
+
     def _limit_normal(self, patch: Any, u: Any, v: Any, flat: Any) -> Any:
-        step = 1e-3  # far enough for float32 to see an angle, near enough to be the limit
-        _p, pu, pv = self.partials(patch, u + step * (1 / 3 - u), v + step * (1 / 3 - v), flat)
+        _p, pu, pv = self.partials(patch, u + _STEP * (1 / 3 - u), v + _STEP * (1 / 3 - v), flat)
         inner = dr.cross(pu, pv)
         return dr.select(dr.squared_norm(inner) > 0, inner, mi.Vector3f(0, 0, 1))
+
+
+def _is_flat(n: Any, pu: Any, pv: Any) -> Any:
+    return ~(dr.squared_norm(n) > _FLAT * dr.squared_norm(pu) * dr.squared_norm(pv))
+
+
+def _by_texture(fu: Any, fv: Any, du: Any, dv: Any) -> tuple[Any, Any, Any]:
+    """Turn partials by the parameters into those by texture coordinates.
+
+    Returns
+    -------
+    partials by the first and the second texture coordinate, and whether they exist
+    """
+    det = dr.fma(du.x, dv.y, -du.y * dv.x)
+    inv = dr.rcp(det)
+    return (
+        (dv.y * fu - du.y * fv) * inv,
+        (du.x * fv - dv.x * fu) * inv,
+        (det != 0) & dr.isfinite(inv),
+    )
+
+
+def _shading_frame(n: Any, dp_du: Any) -> Any:
+    """Return the frame of a unit normal, its first axis along `dp_du` if that has a direction."""
+    across = dp_du - n * dr.dot(n, dp_du)
+    # at a collapsed corner dp_du is a rounding error, of any direction: 1e-4 of it are still safe
+    bad = ~(dr.squared_norm(across) > 1e-8 * dr.squared_norm(dp_du))
+    s = dr.normalize(dr.select(bad, mi.coordinate_system(n)[0], across))
+    frame = mi.Frame3f()
+    frame.s, frame.t, frame.n = s, dr.cross(n, s), n
+    return frame
 
 
 def surface_interaction(
     tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any
 ) -> Any:
-    """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere."""
+    """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere.
+
+    All fields are those of Mitsuba's own shapes. ``dn_du``, ``dn_dv`` are computed on request
+    (`mi.RayFlags.dNGdUV` or `dNSdUV`: the shading normal is the true one). Partials are by the
+    texture coordinates `uv`.
+    """
     ours = hit.bezier & mi.Bool(active)
     pi = hit.pi
     u, v = pi.prim_uv.x, pi.prim_uv.y
@@ -82,19 +172,33 @@ def surface_interaction(
     # a patch runs to infinity a rounding of them moves the point further than one of t.
     reach = dr.max(dr.abs(ray.o)) + pi.t * dr.norm(ray.d)
     p = dr.select(dr.norm(pu) + dr.norm(pv) > reach, dr.fma(pi.t, ray.d, ray.o), p)
+    uv, duv_du, duv_dv = tables.texture(hit.patch, u, v, ours)
+    wants_dn = mi.has_flag(flags, mi.RayFlags.dNGdUV) or mi.has_flag(flags, mi.RayFlags.dNSdUV)
+    nu = nv = mi.Vector3f(0.0)
+    if wants_dn:
+        nu, nv = tables.normal_partials(hit.patch, u, v, ours)
+    if tables.texcoords is not None:
+        pu, pv, regular = _by_texture(pu, pv, duv_du, duv_dv)
+        # as Mitsuba's meshes: any basis where texture coordinates do not tell one
+        s, t = mi.coordinate_system(n)
+        pu, pv = dr.select(regular, pu, s), dr.select(regular, pv, t)
+        if wants_dn:
+            nu, nv, _ = _by_texture(nu, nv, duv_du, duv_dv)
+            nu, nv = dr.select(regular, nu, 0.0), dr.select(regular, nv, 0.0)
 
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(pi.t))
     si.t = dr.select(ours, pi.t, dr.inf)
     si.p = dr.select(ours, p, 0.0)
     si.n = dr.select(ours, mi.Normal3f(n), 0.0)
-    si.uv = dr.select(ours, mi.Point2f(u, v), 0.0)
+    si.uv = dr.select(ours, uv, 0.0)
     si.dp_du = dr.select(ours, pu, 0.0)
     si.dp_dv = dr.select(ours, pv, 0.0)
-    si.sh_frame.n = si.n
+    si.dn_du = dr.select(ours, nu, 0.0)
+    si.dn_dv = dr.select(ours, nv, 0.0)
+    si.sh_frame = _shading_frame(si.n, si.dp_du)
     si.time = ray.time
     si.wavelengths = ray.wavelengths
     si.shape = dr.select(ours, pi.shape, dr.zeros(mi.ShapePtr))
     si.prim_index = dr.select(ours, pi.prim_index, 0)
-    si.initialize_sh_frame()
     si.wi = dr.select(ours, si.to_local(-ray.d), -ray.d)
     return si
