@@ -1,0 +1,310 @@
+"""What a kernel reads to decide whether a hit is trimmed away: cells and monotone pieces.
+
+Boundary curves are cut where a coordinate turns. A piece that rises in t and rises (``sigma = 1``)
+or falls (``sigma = -1``) in s is, in the coordinates
+
+    f = t + sigma s,    g = t - sigma s,
+
+the graph of a function ``g(f)`` with a slope between -1 and 1. So a bisection in f finds the
+place beside a point without any care for horizontal or vertical tangents, and may stop as soon
+as the point's g is further off than what is left of f.
+
+A *cell* is a part of a patch's parameters, the whole patch or one leaf, with the pieces that
+come near it. Pieces to its left cross no ray towards larger s; of those to its right only the
+heights matter at which the number of crossings changes. A leaf without pieces is inside or
+outside as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .sign_changes import bernstein_product, sign_changes, split
+from .trims import Trims
+
+__all__ = ["CELL", "HEAD", "SLACK", "TrimCells", "monotone_pieces", "trim_cells"]
+
+#: A point this near to a trimming curve belongs to the surface, in parameters of its patch's unit
+#: square: neighbours that share the curve overlap by that, so nothing leaks between them. Ten
+#: roundings of float32.
+SLACK = 1e-6
+#: Numbers in a cell: M 6, tan(arc/4) and 2/arc for s and t, first piece, number of pieces, 1 if
+#: an odd number of curves passes to the right of all pieces at the foot of the cell.
+CELL = 16
+#: Numbers of a piece before its coefficients: t0, t1, least and largest s, sigma, f and g at both
+#: ends.
+HEAD = 9
+#: Hits lie outside of their leaf by up to 3e-3 of it at grazing angles, and by roundings.
+_MARGIN = (4e-3, 1e-5)
+#: Pieces are cut this far outside of the unit square: float32 is to see numbers near one.
+_REACH = 1.0
+#: A height above, or a place to the right of everything.
+_FAR = 1e30
+
+
+@dataclass
+class TrimCells:
+    """Tables for `kernels.trim`; the cells 0 .. P-1 are the whole patches."""
+
+    cells: np.ndarray  #: (C, CELL)
+    pieces: np.ndarray  #: (N, HEAD + 3 (degree + 1)): head, then f, g, w of each coefficient
+    degree: int
+    arcs: bool  #: whether any cell has one
+
+
+def _elevated(curve: np.ndarray, degree: int) -> np.ndarray:
+    while len(curve) - 1 < degree:
+        m = len(curve)
+        t = (np.arange(m + 1) / m)[:, None]
+        padded = np.concatenate([curve[:1], curve, curve[-1:]])
+        curve = t * padded[:-1] + (1 - t) * padded[1:]
+    return curve
+
+
+def _turns(curve: np.ndarray) -> list[float]:
+    """Return where a coordinate of a curve ``(n+1, 3)`` turns round."""
+    n = len(curve) - 1
+    slope = n * np.diff(curve, axis=0)
+    out: list[float] = []
+    for axis in range(2):
+        h = bernstein_product(slope[:, axis], curve[:, 2])
+        h = h - bernstein_product(slope[:, 2], curve[:, axis])
+        out += sign_changes(h[None])[1].tolist()
+    # 1e-12: a turn at an end cuts off nothing
+    return sorted({t for t in out if 1e-12 < t < 1 - 1e-12})
+
+
+Piece = tuple[np.ndarray, np.ndarray]  # coefficients (n+1, 3), end points (2, 2)
+
+
+def _cut(piece: Piece, places: list[float]) -> list[Piece]:
+    """Cut a piece; neighbours share their end point to the last bit."""
+    rest, (start, stop) = piece
+    out, low = [], 0.0
+    for t in places:
+        left, rest = split(rest, (t - low) / (1 - low))
+        middle = left[-1, :2] / left[-1, 2]
+        out.append((left, np.array([start, middle])))
+        start, low = middle, t
+    return [*out, (rest, np.array([start, stop]))]
+
+
+def monotone_pieces(curve: np.ndarray) -> list[Piece]:
+    """Cut a curve ``(n+1, 3)`` into pieces along which both coordinates are monotone.
+
+    Returns
+    -------
+    list of ((n+1, 3) array, (2, 2) array)
+        Coefficients and end points; t does not fall along a piece.
+    """
+    ends = curve[[0, -1], :2] / curve[[0, -1], 2:]
+    out = []
+    for coefficients, points in _cut((curve, ends), _turns(curve)):
+        if points[0, 1] > points[1, 1]:
+            coefficients, points = coefficients[::-1], points[::-1]
+        if (points[0] != points[1]).any():
+            out.append((coefficients, points))
+    return out
+
+
+def _clipped(piece: Piece) -> list[Piece]:
+    """Cut a piece where it leaves the unit square by more than `_REACH`."""
+    coefficients, ends = piece
+    places: set[float] = set()
+    for axis in range(2):
+        low, high = ends[:, axis].min(), ends[:, axis].max()
+        for at in (-_REACH, 1 + _REACH):
+            if low < at < high:
+                h = coefficients[:, axis] - at * coefficients[:, 2]
+                places |= set(sign_changes(h[None])[1].tolist())
+    inner = sorted(t for t in places if 1e-12 < t < 1 - 1e-12)
+    return _cut(piece, inner) if inner else [piece]
+
+
+@dataclass
+class _Pieces:
+    """Pieces in the unit square of one patch, as arrays."""
+
+    coefficients: np.ndarray  # (Q, n+1, 3)
+    ends: np.ndarray  # (Q, 2, 2)
+
+    @property
+    def t(self) -> np.ndarray:
+        return self.ends[:, :, 1]
+
+    @property
+    def low(self) -> np.ndarray:
+        return self.ends[:, :, 0].min(axis=1)
+
+    @property
+    def high(self) -> np.ndarray:
+        return self.ends[:, :, 0].max(axis=1)
+
+    def select(self, mask: np.ndarray) -> _Pieces:
+        return _Pieces(self.coefficients[mask], self.ends[mask])
+
+    def rows(self) -> np.ndarray:
+        """Return the pieces as rows of the table."""
+        (s0, t0), (s1, t1) = self.ends[:, 0].T, self.ends[:, 1].T
+        sigma = np.where(s1 >= s0, 1.0, -1.0)
+        s, t, w = np.moveaxis(self.coefficients, -1, 0)
+        turned = np.stack([t + sigma[:, None] * s, t - sigma[:, None] * s, w], axis=-1)
+        head = [t0, t1, self.low, self.high, sigma]
+        head += [t0 + sigma * s0, t0 - sigma * s0, t1 + sigma * s1, t1 - sigma * s1]
+        return np.concatenate([np.stack(head, axis=1), turned.reshape(len(s), -1)], axis=1)
+
+
+def _placed(region: _Pieces, place: np.ndarray) -> _Pieces:
+    """Move the pieces of a region into the unit square of a patch; those far off are left out."""
+    ends = (region.ends - place[0]) / place[1]
+    pad = _MARGIN[1] + SLACK
+    near = (ends[:, 1, 1] > -pad) & (ends[:, 0, 1] < 1 + pad) & (ends[..., 0].max(axis=1) > -pad)
+    coefficients = region.coefficients[near].copy()
+    coefficients[..., :2] -= coefficients[..., 2:] * place[0]
+    coefficients[..., :2] /= place[1]
+    ends = ends[near]
+    wide = (np.abs(ends - 0.5) > 0.5 + _REACH).any(axis=(1, 2))
+    if not wide.any():
+        return _Pieces(coefficients, ends)
+    cut = [p for k in np.flatnonzero(wide) for p in _clipped((coefficients[k], ends[k]))]
+    return _Pieces(
+        np.concatenate([coefficients[~wide], [c for c, _e in cut]]),
+        np.concatenate([ends[~wide], [e for _c, e in cut]]),
+    )
+
+
+def _changes(heights: np.ndarray) -> np.ndarray:
+    """Return the heights that occur an odd number of times."""
+    values, counts = np.unique(heights, return_counts=True)
+    return values[counts % 2 == 1]
+
+
+class _Builder:
+    def __init__(self, trims: Trims) -> None:
+        used = np.unique(trims.region[trims.region >= 0])
+        curves = [c for k in used for c in trims.regions[k]]
+        self.degree = max((len(c) - 1 for c in curves), default=1)
+        self.regions: dict[int, _Pieces] = {}
+        for k in used.tolist():
+            pieces = [p for c in trims.regions[k] for p in monotone_pieces(c)]
+            self.regions[k] = _Pieces(
+                np.array([_elevated(c, self.degree) for c, _e in pieces]).reshape(
+                    -1, self.degree + 1, 3
+                ),
+                np.array([e for _c, e in pieces]).reshape(-1, 2, 2),
+            )
+        self.trims = trims
+        self.rows: list[np.ndarray] = []
+        self.row_count = 0
+
+    def add(self, pieces: _Pieces, boxes: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Enter the pieces near boxes ``(L, 2, 2)`` of lower and upper corners.
+
+        Returns
+        -------
+        first, count, base : (L,) arrays
+        """
+        (s0, t0), (s1, t1) = boxes[:, 0].T[..., None], boxes[:, 1].T[..., None]
+        level = (pieces.t[:, 1] >= t0) & (pieces.t[:, 0] <= t1)
+        right = level & (pieces.low > s1)
+        near = level & ~right & (pieces.high >= s0)
+        base = (right & (pieces.t[:, 0] <= t0) & (pieces.t[:, 1] > t0)).sum(axis=1) % 2
+        inner = right & ((pieces.t[:, 0] > t0) | (pieces.t[:, 1] <= t1))
+        owner, row = np.nonzero(near)
+        steps_owner: list[int] = []
+        steps: list[float] = []
+        for k in np.flatnonzero(inner.any(axis=1)).tolist():
+            heights = pieces.t[inner[k]].ravel()
+            found = _changes(heights[(heights > t0[k]) & (heights <= t1[k])])
+            steps += found.tolist()
+            steps_owner += [k] * len(found)
+        table = [pieces.rows()]
+        if steps:
+            extra = np.zeros((len(steps), table[0].shape[1]))
+            extra[:, 0], extra[:, 1:4], extra[:, 4] = steps, _FAR, 1.0
+            table.append(extra)
+            owner = np.concatenate([owner, steps_owner])
+            row = np.concatenate([row, len(pieces.ends) + np.arange(len(steps))])
+        order = np.argsort(owner, kind="stable")
+        count = np.bincount(owner.astype(int), minlength=len(boxes))
+        first = self.row_count + np.concatenate([[0], np.cumsum(count)[:-1]])
+        self.rows.append(np.concatenate(table)[row[order]])
+        self.row_count += len(order)
+        return first, count, base
+
+    def head(self, patch: int) -> np.ndarray:
+        """Return the part of a cell that says how ``(u, v)`` are mapped."""
+        out = np.zeros(CELL)
+        out[:6] = self.trims.square[patch].ravel()
+        for axis, arc in enumerate(self.trims.arc[patch]):
+            if arc > 0:
+                out[6 + 2 * axis : 8 + 2 * axis] = np.tan(arc / 4), 2 / arc
+        return out
+
+
+def trim_cells(
+    trims: Trims, patch: np.ndarray | None = None, corners: np.ndarray | None = None
+) -> tuple[TrimCells, np.ndarray, np.ndarray]:
+    """Make the cells of patches and of their leaves.
+
+    Parameters
+    ----------
+    trims : Trims
+    patch : (L,) int array, optional
+        The patches of some leaves.
+    corners : (L, 3, 2) array, optional
+        Parameters of the corners of the leaves.
+
+    Returns
+    -------
+    cells : TrimCells
+    cell : (L,) int array
+        The cell of each leaf; -1 for leaves that need no test.
+    keep : (L,) bool array
+        False for leaves that are trimmed away as a whole.
+    """
+    patch = np.zeros(0, dtype=int) if patch is None else np.asarray(patch)
+    corners = np.zeros((0, 3, 2)) if corners is None else corners
+    count = len(trims)
+    builder = _Builder(trims)
+    cells = np.zeros((count, CELL))
+    cells[:, 12] = 1.0  # whole patches: everything is inside
+    more: list[np.ndarray] = []
+    cell, keep = np.full(len(patch), -1), np.ones(len(patch), dtype=bool)
+    order = np.argsort(patch, kind="stable")
+    bounds = np.searchsorted(patch[order], np.arange(count + 1))
+    pad = _MARGIN[1] + SLACK
+    unit_square = np.array([[[-pad, -pad], [1 + pad, 1 + pad]]])
+    used = count
+    for p in np.flatnonzero(trims.region >= 0).tolist():
+        pieces = _placed(builder.regions[int(trims.region[p])], trims.place[p])
+        head = builder.head(p)
+        first, number, base = builder.add(pieces, unit_square)
+        cells[p] = head
+        cells[p, 10:13] = first[0], number[0], base[0]
+        mine = order[bounds[p] : bounds[p + 1]]
+        if not len(mine):
+            continue
+        places = trims.unit(np.full(3 * len(mine), p), corners[mine].reshape(-1, 2))
+        places = places.reshape(-1, 3, 2)
+        low, high = places.min(axis=1), places.max(axis=1)
+        pad = (high - low).max(axis=1, keepdims=True) * _MARGIN[0] + _MARGIN[1] + SLACK
+        first, number, base = builder.add(pieces, np.stack([low - pad, high + pad], axis=1))
+        test = number > 0
+        keep[mine] = test | (base == 1)
+        cell[mine[test]] = used + np.arange(test.sum())
+        used += int(test.sum())
+        rows = np.tile(head, (int(test.sum()), 1))
+        rows[:, 10], rows[:, 11], rows[:, 12] = first[test], number[test], base[test]
+        more.append(rows)
+    width = HEAD + 3 * (builder.degree + 1)
+    tables = [r for r in builder.rows if len(r)]
+    found = TrimCells(
+        np.concatenate([cells, *more]),
+        np.concatenate(tables) if tables else np.zeros((0, width)),
+        builder.degree,
+        bool((trims.arc > 0).any()),
+    )
+    return found, cell, keep
