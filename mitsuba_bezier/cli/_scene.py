@@ -20,10 +20,10 @@ __all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "load"]
 SHAPE = "beziertriangle"
 
 #: Integrators that intersect rays with the exact surfaces.
-SEES_BEZIER = ("bezierpath",)
+SEES_BEZIER = ("bezierpath", "beziervolpath")
 
 #: Mitsuba's integrators that have an equal among ours, with the same parameters.
-REPLACED = {"path": "bezierpath"}
+REPLACED = {"path": "bezierpath", "volpath": "beziervolpath"}
 
 
 @dataclass(frozen=True)

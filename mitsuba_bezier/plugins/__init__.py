@@ -15,9 +15,14 @@ _classes: dict[tuple[str, str], type] = {}
 
 def _maker(name: str) -> Any:
     from .bezierpath import make_path_class
+    from .beziervolpath import make_volpath_class
     from .shape import make_shape_class
 
-    return {"beziertriangle": make_shape_class, "bezierpath": make_path_class}[name]
+    return {
+        "beziertriangle": make_shape_class,
+        "bezierpath": make_path_class,
+        "beziervolpath": make_volpath_class,
+    }[name]
 
 
 def _instantiate(name: str, props: Any) -> Any:
@@ -38,6 +43,7 @@ def _on_variant(_old: str | None, new: str | None) -> None:
         return
     mi.register_shape("beziertriangle", lambda props: _instantiate("beziertriangle", props))
     mi.register_integrator("bezierpath", lambda props: _instantiate("bezierpath", props))
+    mi.register_integrator("beziervolpath", lambda props: _instantiate("beziervolpath", props))
 
 
 _registered = False
