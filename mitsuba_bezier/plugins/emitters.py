@@ -10,24 +10,11 @@ import numpy as np
 
 from ..kernels.arrays import upload
 from .scene import SceneRays
-from .surface_sampling import SurfaceSampling
+from .surface_sampling import SurfaceSampling, direction_sample
 
-__all__ = ["EmitterSampling", "direction_sample"]
+__all__ = ["EmitterSampling"]
 
 _NONE = 0xFFFFFFFF
-
-
-def direction_sample(ps: Any, ref: Any) -> Any:
-    """Turn a `mi.PositionSample3f` into the direction sample seen from `ref` (by solid angle)."""
-    ds = mi.DirectionSample3f(ps)
-    ds.d = ps.p - ref.p
-    dist2 = dr.squared_norm(ds.d)
-    ds.dist = dr.sqrt(dist2)
-    ds.d = ds.d / ds.dist
-    cosine = dr.abs(dr.dot(ds.d, ds.n))
-    ds.pdf = dr.select(cosine > 0, ps.pdf * dist2 / cosine, 0.0)
-    ds.time = ref.time
-    return ds
 
 
 class EmitterSampling:
@@ -72,11 +59,17 @@ class EmitterSampling:
         emitter = dr.gather(mi.EmitterPtr, self.pointers, index, active)
         ds, value = emitter.sample_direction(si, sample, active & ~ours)
 
-        exact = direction_sample(self.surfaces.sample(dr.select(ours, light, 0), sample, ours), si)
+        ps, patch = self.surfaces.sample(dr.select(ours, light, 0), sample, ours)
+        exact = direction_sample(ps, si)
         exact.emitter = emitter
+        data = self.rays.data
+        assert data is not None
         there = dr.zeros(mi.SurfaceInteraction3f, dr.width(exact.dist))
         there.p, there.n, there.uv = exact.p, exact.n, exact.uv
         there.sh_frame = mi.Frame3f(exact.n)
+        number = dr.gather(mi.UInt32, data.patch_shape, patch, ours)
+        there.prim_index = patch - dr.gather(mi.UInt32, data.patch_first, patch, ours)
+        there.shape = dr.gather(mi.ShapePtr, data.pointers, number, ours)
         there.wi = there.to_local(-exact.d)
         there.wavelengths, there.time = si.wavelengths, si.time
         there.t = exact.dist

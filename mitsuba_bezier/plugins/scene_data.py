@@ -57,6 +57,7 @@ class SceneData:
             degree=degree,
             shape_of=self.patch_shape,
             orientation=upload(mi.Float, np.array([s.orientation for s in shapes])),
+            texcoords=_texcoords(shapes),
         )
         if scene is not None:
             pointers = scene.shapes_dr()
@@ -119,6 +120,20 @@ class SceneData:
         if numbers not in self._sampling:
             self._sampling[numbers] = SurfaceSampling(self, list(numbers))
         return self._sampling[numbers]
+
+
+def _texcoords(shapes: list[Any]) -> Any:
+    """Return texture coordinates of all patches, or None if no shape has any."""
+    if all(shape.texture_corners is None for shape in shapes):
+        return None
+    own = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    corners = [
+        np.broadcast_to(own, (len(s.patches), 3, 2))
+        if s.texture_corners is None
+        else s.texture_corners
+        for s in shapes
+    ]
+    return upload(mi.Float, np.concatenate(corners))
 
 
 # ---------------------------------------------------------------------- cache

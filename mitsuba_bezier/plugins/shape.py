@@ -5,12 +5,15 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from .. import _runtime
 from ..errors import BezierError, FileFormatError, NetError
 from ..geometry.triangles import BezierTriangles
+from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
+from .surface_sampling import direction_sample, is_bounded
 
 __all__ = ["make_shape_class"]
 
@@ -19,6 +22,7 @@ _versions = itertools.count(1)
 
 def make_shape_class() -> type:
     """Return the class for the variant that is set now."""
+    attribute_class = make_attribute_class()
 
     class BezierTriangle(mi.Mesh):
         r"""
@@ -44,12 +48,32 @@ def make_shape_class() -> type:
            - |bool|
            - Turn the normals, which follow :math:`\partial_u p \times \partial_v p`
              (Default: |false|).
+         * - texcoords
+           - |tensor|
+           - Texture coordinates at the corners A, B, C of each patch, of shape ``(P, 3, 2)``;
+             they are affine in :math:`(u, v)` over the patch (Default: :math:`(u, v)`
+             itself, |exposed|).
+         * - face_*NAME*
+           - |tensor|
+           - An attribute per patch, of shape ``(P,)``, ``(P, 1)`` or ``(P, 3)`` (|exposed|,
+             |differentiable|).
+         * - vertex_*NAME*
+           - |tensor|
+           - An attribute given by the ordinates of a Bernstein polynomial on each patch, of
+             shape ``(P, K)``, ``(P, K, 1)`` or ``(P, K, 3)`` with ``K = (m+1)(m+2)/2`` for any
+             degree ``m >= 1``: one a control point, or ``K = 3``, one a corner (|exposed|,
+             |differentiable|).
          * - (Nested plugin)
-           - |bsdf|, |emitter|, |medium|
+           - |bsdf|, |emitter|, |medium|, |texture|
            - As for Mitsuba's own shapes.
 
         Rays meet the patches themselves. Mitsuba's C++ integrators do not see them: use
         `bezierpath`.
+
+        A hit's ``prim_index`` is the patch. Its ``uv`` are the texture coordinates, and
+        ``dp_du``, ``dn_du``, ... are partials by them; the barycentric parameters remain in
+        ``prim_uv`` of the preliminary intersection. The texture `mesh_attribute` gives
+        attributes to BSDFs and emitters; `add_attribute` adds them later.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -59,7 +83,8 @@ def make_shape_class() -> type:
             flip = props.get("flip_normals", False)
             if not isinstance(flip, bool):
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
-            for key in ("control_points", "filename", "to_world", "flip_normals"):
+            texcoords, attributes = _read_tables(props, len(patches))
+            for key in ("control_points", "filename", "to_world", "flip_normals", "texcoords"):
                 if key in props:
                     del props[key]
             self._plain_mesh = True
@@ -69,10 +94,16 @@ def make_shape_class() -> type:
             self.control_points = _tensor(patches.control_points)
             self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
             self._object = patches
+            #: Texture coordinates at the corners (P, 3, 2), or None.
+            self.texture_corners = texcoords
+            self.texcoords = None if texcoords is None else _tensor(texcoords)
+            self._attributes: dict[str, Any] = {}
             # A mesh attribute keeps Mitsuba's loader from merging shapes that share a BSDF
             # into one plain mesh.
-            self.add_attribute("face_bezier", 1, [0.0])
+            super().add_attribute("face_bezier", 1, [0.0])
             self._commit(patches, self._object_to_world)
+            for name, ordinates in attributes.items():
+                self._add(name, ordinates)
 
         def _commit(self, patches: BezierTriangles, matrix: np.ndarray) -> None:
             """Take over a new valid state."""
@@ -108,6 +139,10 @@ def make_shape_class() -> type:
             edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
             cb.put("control_points", self.control_points, edges)
             cb.put("to_world", self.to_world, edges)
+            if self.texcoords is not None:
+                cb.put("texcoords", self.texcoords, mi.ParamFlags.NonDifferentiable)
+            for name, (values, _texture) in self._attributes.items():
+                cb.put(name, values, mi.ParamFlags.Differentiable)
             for name, child in (
                 ("bsdf", self.bsdf()),
                 ("emitter", self.emitter()),
@@ -121,7 +156,8 @@ def make_shape_class() -> type:
             if self._plain_mesh:
                 super().parameters_changed(keys)
                 return
-            if keys and not {"control_points", "to_world"} & set(keys):
+            own = {"control_points", "to_world", "texcoords"}
+            if keys and not (own | set(self._attributes)) & set(keys):
                 return
             tensor = self.control_points
             values = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
@@ -131,11 +167,34 @@ def make_shape_class() -> type:
                     values.astype(np.float32), self._object.control_points.astype(np.float32)
                 )
                 patches = self._object if same else BezierTriangles(values)
-                self._commit(patches, _affine(self.to_world))
+                matrix, count = _affine(self.to_world), len(patches)
+                corners = self.texture_corners
+                if self.texcoords is not None:
+                    corners = check_texcoords(self.texcoords, count)
+                ordinates = {
+                    name: check_attribute(name, values, count)
+                    for name, (values, _texture) in self._attributes.items()
+                }
+                for _values, texture in self._attributes.values():
+                    texture.place_by(corners)
             except BezierError:
-                self.control_points = _tensor(self._object.control_points)
-                self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
+                self._restore()
                 raise
+            for name, (values, texture) in self._attributes.items():
+                texture.set(ordinates[name], values.array)
+            self.texture_corners = corners
+            if not keys or own & set(keys):
+                self._commit(patches, matrix)
+
+        def _restore(self) -> None:
+            """Give all parameters their last valid values."""
+            self.control_points = _tensor(self._object.control_points)
+            self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
+            if self.texcoords is not None:
+                self.texcoords = _tensor(self.texture_corners)
+            for name, (_values, texture) in self._attributes.items():
+                texture.place_by(self.texture_corners)
+                self._attributes[name] = (_tensor(texture.public), texture)
 
         def to_string(self) -> str:
             return (
@@ -153,8 +212,73 @@ def make_shape_class() -> type:
 
         effective_primitive_count = primitive_count
 
+        def add_attribute(self, name: str, size: int, buffer: Any) -> None:
+            """Add an attribute, as `mi.Mesh` does.
+
+            Parameters
+            ----------
+            name : str
+                ``face_...`` for one entry a patch, ``vertex_...`` for Bernstein ordinates.
+            size : int
+                Numbers of an entry: 1 or 3.
+            buffer : sequence of float
+                All numbers, patch by patch.
+            """
+            if not is_attribute(name):
+                raise BezierError.expected(
+                    "name", 'an attribute "face_..." or "vertex_..."', repr(name)
+                )
+            if self.has_attribute(name):
+                raise BezierError.expected("name", "the name of a new attribute", repr(name))
+            values = np.array(buffer, dtype=np.float64).ravel()
+            count = len(self.patches)
+            if size not in (1, 3) or len(values) == 0 or len(values) % (count * size):
+                raise BezierError.expected(
+                    name,
+                    f"size 1 or 3 and a multiple of {count} * size numbers, for {count} patches",
+                    f"size {size} and {len(values)} numbers",
+                )
+            face = name.startswith("face_")
+            shape = (len(values) // size, size) if face else (count, -1, size)
+            self._add(name, check_attribute(name, values.reshape(shape), count))
+
+        def remove_attribute(self, name: str) -> None:
+            """Remove an attribute."""
+            super().remove_attribute(name)
+            self._attributes.pop(name, None)
+
+        def _add(self, name: str, ordinates: np.ndarray) -> None:
+            texture = attribute_class(name, ordinates)
+            texture.place_by(self.texture_corners)
+            self.add_texture_attribute(name, texture)
+            self._attributes[name] = (_tensor(texture.public), texture)
+
         def surface_area(self) -> Any:
-            return mi.Float(float(self.patches.area().sum()))
+            """Return the area, infinite for a surface that runs to infinity."""
+            bounded = is_bounded(self.patches)
+            return mi.Float(float(self.patches.area().sum()) if bounded else np.inf)
+
+        def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
+            """Sample the surface nearly by area; return `mi.PositionSample3f`."""
+            sampling = self._alone().surface_sampling((0,))
+            ps, _patch = sampling.sample(mi.UInt32(0), mi.Point2f(sample), mi.Bool(active))
+            ps.time = time
+            return ps
+
+        def pdf_position(self, ps: Any, active: Any = True) -> Any:
+            """Return the density of `sample_position`; reads ``ps.p`` and ``ps.n``."""
+            sampling = self._alone().surface_sampling((0,))
+            return sampling.pdf_at(mi.UInt32(0), ps.p, ps.n, active)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            """Sample a direction towards the surface; return `mi.DirectionSample3f`."""
+            return direction_sample(self.sample_position(it.time, sample, active), it)
+
+        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            """Return the density of `sample_direction` by solid angle."""
+            cosine = dr.abs(dr.dot(ds.d, ds.n))
+            pdf = self.pdf_position(ds, active) * dr.square(ds.dist) / cosine
+            return dr.select(cosine > 0, pdf, 0.0)
 
         def _alone(self) -> Any:
             from .scene_data import data_for_shapes
@@ -212,6 +336,20 @@ def _affine(transform: Any) -> np.ndarray:
             "to_world", "a regular transformation", f"{matrix.tolist()}, which flattens space"
         )
     return matrix
+
+
+def _read_tables(
+    props: mi.Properties, count: int
+) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
+    """Take texture coordinates and attributes of `count` patches out of the properties."""
+    texcoords = check_texcoords(props["texcoords"], count) if "texcoords" in props else None
+    attributes = {}
+    for key in list(props.keys()):
+        # of other types are Mitsuba's "face_normals" and textures
+        if is_attribute(key) and hasattr(props[key], "shape"):
+            attributes[key] = check_attribute(key, props[key], count)
+            del props[key]
+    return texcoords, attributes
 
 
 def _read(props: mi.Properties) -> BezierTriangles:

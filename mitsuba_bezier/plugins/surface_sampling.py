@@ -1,4 +1,4 @@
-"""Points on Bézier shapes, distributed by area, with their exact density."""
+"""Points on Bézier shapes, distributed nearly by area, with their exact density."""
 
 from __future__ import annotations
 
@@ -12,10 +12,26 @@ from ..errors import GeometryError
 from ..geometry.triangles import BezierTriangles
 from ..kernels.arrays import upload
 
-__all__ = ["SurfaceSampling"]
+__all__ = ["SurfaceSampling", "direction_sample", "is_bounded"]
 
 #: Cells of one shape: enough for the density to be nearly uniform, few enough for the cache.
 _CELLS = 4096
+#: Least density of a cell's corner, as a part of the cell's mean: no point has density 0.
+_FLOOR = 0.125
+
+
+def is_bounded(patches: BezierTriangles) -> bool:
+    """Tell whether the surface is bounded.
+
+    It is where all weights of a patch have one sign. Patches whose weights have not are divided
+    up to six times: a point at infinity stays in one of the parts.
+    """
+    for _level in range(7):
+        unbounded = ~np.isfinite(patches.bounds()).all(axis=(1, 2))
+        if not unbounded.any():
+            return True
+        patches = patches[unbounded].split()
+    return False
 
 
 def _resolution(count: int) -> int:
@@ -23,35 +39,64 @@ def _resolution(count: int) -> int:
     return int(np.clip(np.sqrt(_CELLS / count), 1, 16))
 
 
-def _cell_areas(patches: BezierTriangles, r: int) -> np.ndarray:
-    """Return areas ``(P, r, r, 2)`` of the cells of a lattice of edge length ``1/r``.
+def _cell_densities(patches: BezierTriangles, r: int) -> np.ndarray:
+    """Return ``|dp_du x dp_dv|`` at the corners of the cells of a lattice of edge length ``1/r``.
 
     Cell ``(i, j, 0)`` has the corners ``(i, j), (i+1, j), (i, j+1)`` in units of ``1/r``, and
-    ``(i, j, 1)`` is its neighbour ``(i+1, j+1), (i, j+1), (i+1, j)``. The area is that of the
-    three-point rule; it decides how often a cell is chosen, not the density within.
+    ``(i, j, 1)`` is its neighbour ``(i+1, j+1), (i, j+1), (i+1, j)``. Values are at least
+    `_FLOOR` times the mean of the three-point rule: corners may be collapsed.
+
+    Returns
+    -------
+    (P, r, r, 2, 3) array
+        Zeros for cells outside of the triangle.
     """
     i, j = np.meshgrid(np.arange(r), np.arange(r), indexing="ij")
-    inner = np.array([[4, 1], [1, 4], [1, 1]]) / 6
-    uv = np.empty((r, r, 2, 3, 2))
     corner = np.stack([i, j], axis=-1)[:, :, None]
-    uv[:, :, 0] = (corner + inner) / r
-    uv[:, :, 1] = (corner + 1 - inner) / r
+    steps = np.array([[0, 0], [1, 0], [0, 1]])
+    inner = np.array([[1, 1], [4, 1], [1, 4]]) / 6
     valid = np.stack([i + j < r, i + j < r - 1], axis=-1)
-    out = np.zeros((len(patches), r, r, 2))
-    points = uv[valid].reshape(-1, 2)
+    uv = np.empty((2, r, r, 2, 3, 2))
+    for k, offset in enumerate((steps, inner)):
+        uv[k, :, :, 0] = (corner + offset) / r
+        uv[k, :, :, 1] = (corner + 1 - offset) / r
+    points = uv[:, valid].reshape(-1, 2)
+    out = np.zeros((len(patches), r, r, 2, 3))
     for p in range(len(patches)):
         d = patches.differential(p, points)
-        density = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1).reshape(-1, 3).mean(axis=1)
-        out[p][valid] = density / (2 * r * r)
+        density = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1).reshape(2, -1, 3)
+        floor = _FLOOR * density[1].mean(axis=1, keepdims=True)
+        out[p][valid] = np.maximum(density[0], floor)
     return out
+
+
+def _size(patches: BezierTriangles) -> float:
+    """Return the extent of the corners and centroids."""
+    uv = np.array([[1, 0], [0, 1], [0, 0], [1 / 3, 1 / 3]])
+    count = len(patches)
+    points = patches.points(np.repeat(np.arange(count), 4), np.tile(uv, (count, 1)))
+    return float(np.ptp(points, axis=0).max())
+
+
+def direction_sample(ps: Any, ref: Any) -> Any:
+    """Turn a `mi.PositionSample3f` into the direction sample seen from `ref` (by solid angle)."""
+    ds = mi.DirectionSample3f(ps)
+    ds.d = ps.p - ref.p
+    dist2 = dr.squared_norm(ds.d)
+    ds.dist = dr.sqrt(dist2)
+    ds.d = ds.d / ds.dist
+    cosine = dr.abs(dr.dot(ds.d, ds.n))
+    ds.pdf = dr.select(cosine > 0, ps.pdf * dist2 / cosine, 0.0)
+    ds.time = ref.time
+    return ds
 
 
 class SurfaceSampling:
     """Sampling of some of the shapes of a structure.
 
-    A shape is cut into cells in its parameters; a cell is chosen by its area, a point in it
-    uniformly in ``(u, v)``. The density by area is then the probability of the cell over its
-    parameter area and over ``|dp_du x dp_dv|``: exact, whatever the areas of the cells are.
+    A shape is cut into cells in its parameters. The density in ``(u, v)`` is, up to a factor,
+    linear in each cell, and ``|dp_du x dp_dv|`` in its corners; by area it is this number over
+    ``|dp_du x dp_dv|`` at the point. That is exact for any surface, and nearly constant.
 
     Parameters
     ----------
@@ -69,26 +114,28 @@ class SurfaceSampling:
     def __init__(self, data: Any, numbers: list[int]) -> None:
         self.data = data
         self.numbers = numbers
-        cdf, probability, rows = [], [], []
+        cdf, corners, rows = [], [], []
         offset = 0
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         for number in numbers:
             shape = data.shapes[number]
             r = _resolution(len(shape.patches))
-            areas = _cell_areas(shape.patches, r).ravel()
-            total = areas.sum()
-            if not (np.isfinite(total) and total > 0) or (shape.patches.weights == 0).any():
+            bounded = is_bounded(shape.patches)
+            density = _cell_densities(shape.patches, r).reshape(-1, 3) if bounded else np.zeros(1)
+            total = density.sum() / (6 * r * r)
+            if not (np.isfinite(total) and total > 0):
                 raise GeometryError.expected(
                     f'shape "{shape.id()}"',
                     "a surface of finite area to sample or to carry an emitter",
-                    "points at infinity" if total > 0 or np.isnan(total) else "area 0",
+                    "area 0" if bounded else "points at infinity",
                 )
-            probability.append(areas / total)
-            cdf.append(np.cumsum(areas) / total)
-            rows.append((firsts[number], r, offset, len(areas)))
-            offset += len(areas)
+            corners.append(density / total)
+            cdf.append(np.cumsum(density.sum(axis=1)) / density.sum())
+            rows.append((firsts[number], r, offset, len(density)))
+            offset += len(density)
         self.cdf = upload(mi.Float, np.concatenate(cdf))
-        self.probability = upload(mi.Float, np.concatenate(probability))
+        self.corners = upload(mi.Float, np.concatenate(corners))
+        self._size = max(_size(data.shapes[k].patches) for k in numbers)
         self.longest = max(row[3] for row in rows)
         self.rows = upload(mi.UInt32, np.array(rows, dtype=np.uint32))
 
@@ -99,7 +146,10 @@ class SurfaceSampling:
         # idle lanes read zeros, and an integer division by zero ends the process
         return [first, dr.maximum(r, 1), offset, dr.maximum(count, 1)]
 
-    def sample(self, which: Any, sample: Any, active: Any) -> Any:
+    def _corners(self, cell: Any, active: Any) -> list[Any]:
+        return [dr.gather(mi.Float, self.corners, 3 * cell + k, active) for k in range(3)]
+
+    def sample(self, which: Any, sample: Any, active: Any) -> tuple[Any, Any]:
         """Sample a position.
 
         Parameters
@@ -107,12 +157,15 @@ class SurfaceSampling:
         which : UInt32
             Index into `numbers`.
         sample : Point2f
-            Uniform in the unit square; the first is used for the cell, then once more.
+            Uniform in the unit square; each number is used for a choice, then once more.
         active : Bool
 
         Returns
         -------
         mi.PositionSample3f
+            ``uv`` are texture coordinates, ``time`` is not set.
+        UInt32
+            The patch, numbered as a hit's.
         """
         first, r, offset, count = self._row(which, active)
         # bisection between bounds that differ from lane to lane
@@ -123,39 +176,66 @@ class SurfaceSampling:
             cell, end = dr.select(right, middle + 1, cell), dr.select(right, end, middle)
         cell = dr.minimum(cell, offset + count - 1)
         upper = dr.gather(mi.Float, self.cdf, cell, active)
-        p = dr.gather(mi.Float, self.probability, cell, active)
-        again = dr.clip((sample.x - (upper - p)) / p, 0.0, dr.one_minus_epsilon(mi.Float))
-        # uniform in the unit triangle (Turk's square root map)
-        root = dr.sqrt(again)
-        a, b = 1.0 - root, sample.y * root
+        lower = dr.gather(mi.Float, self.cdf, cell - 1, active & (cell > offset))
+        x = dr.clip((sample.x - lower) / (upper - lower), 0.0, dr.one_minus_epsilon(mi.Float))
+        # A linear density is a mixture of three, each proportional to one barycentric
+        # coordinate b. That one is distributed as Beta(2, 2), whose distribution function
+        # b^2 (3 - 2b) has this inverse; the others divide the rest uniformly.
+        c = self._corners(cell, active)
+        b = 0.5 - dr.sin(dr.asin(1.0 - 2.0 * x) / 3.0)
+        y = sample.y * (c[0] + c[1] + c[2])
+        choice = dr.select(y < c[0], mi.UInt32(0), dr.select(y < c[0] + c[1], mi.UInt32(1), 2))
+        below = dr.select(choice == 0, 0.0, dr.select(choice == 1, c[0], c[0] + c[1]))
+        own = dr.select(choice == 0, c[0], dr.select(choice == 1, c[1], c[2]))
+        y = dr.clip((y - below) / own, 0.0, 1.0)
+        d, e = (1.0 - b) * y, (1.0 - b) * (1.0 - y)
+        a = dr.select(choice == 1, b, d)
+        b = dr.select(choice == 2, b, e)
         local = cell - offset
         down = (local & 1) == 1
         j = (local >> 1) % r
         i = ((local >> 1) // r) % r
-        patch = (local >> 1) // (r * r)
-        a, b = dr.select(down, 1.0 - a, a), dr.select(down, 1.0 - b, b)
+        patch = first + (local >> 1) // (r * r)
         step = 1.0 / mi.Float(r)
-        u, v = (mi.Float(i) + a) * step, (mi.Float(j) + b) * step
-        return self._position(first + patch, u, v, p, r, active)
+        u = (mi.Float(i) + dr.select(down, 1.0 - a, a)) * step
+        v = (mi.Float(j) + dr.select(down, 1.0 - b, b)) * step
 
-    def _position(self, patch: Any, u: Any, v: Any, p: Any, r: Any, active: Any) -> Any:
-        point, n, density = self.data.tables.point_and_normal(patch, u, v, active)
+        tables = self.data.tables
+        point, n, density = tables.point_and_normal(patch, u, v, active)
         ps = dr.zeros(mi.PositionSample3f, dr.width(u))
-        ps.p, ps.n, ps.uv = point, n, mi.Point2f(u, v)
-        ps.pdf = dr.select(density > 0, 2.0 * p * mi.Float(r * r) / density, 0.0)
+        ps.p, ps.n = point, n
+        ps.uv = tables.texture(patch, u, v, active)[0]
+        linear = dr.fma(a, c[1] - c[0], dr.fma(b, c[2] - c[0], c[0]))
+        ps.pdf = dr.select(mi.Bool(active) & (density > 0), linear / density, 0.0)
         ps.delta = False
-        return ps
+        return ps, patch
 
     def pdf(self, which: Any, patch: Any, uv: Any, active: Any) -> Any:
         """Return the density by area at parameters `uv` of a patch (numbered as a hit's)."""
         first, r, offset, _count = self._row(which, active)
         last = mi.Int32(r) - 1
-        i = dr.clip(mi.Int32(dr.floor(uv.x * mi.Float(r))), 0, last)
-        j = dr.clip(mi.Int32(dr.floor(uv.y * mi.Float(r))), 0, last - i)
-        down = (uv.x * mi.Float(r) - mi.Float(i)) + (uv.y * mi.Float(r) - mi.Float(j)) > 1.0
-        down = down & (i + j < last)
+        x, y = uv.x * mi.Float(r), uv.y * mi.Float(r)
+        i = dr.clip(mi.Int32(dr.floor(x)), 0, last)
+        j = dr.clip(mi.Int32(dr.floor(y)), 0, last - i)
+        a, b = x - mi.Float(i), y - mi.Float(j)
+        down = (a + b > 1.0) & (i + j < last)
+        a, b = dr.select(down, 1.0 - a, a), dr.select(down, 1.0 - b, b)
         cell = ((patch - first) * r + mi.UInt32(i)) * r + mi.UInt32(j)
         cell = offset + 2 * cell + dr.select(down, mi.UInt32(1), 0)
-        p = dr.gather(mi.Float, self.probability, cell, active)
+        c = self._corners(cell, active)
+        linear = dr.fma(a, c[1] - c[0], dr.fma(b, c[2] - c[0], c[0]))
         _point, _n, density = self.data.tables.point_and_normal(patch, uv.x, uv.y, active)
-        return dr.select(active & (density > 0), 2.0 * p * mi.Float(r * r) / density, 0.0)
+        return dr.select(active & (density > 0), linear / density, 0.0)
+
+    def pdf_at(self, which: Any, p: Any, n: Any, active: Any) -> Any:
+        """Return the density by area at a point of the surface with the normal `n`.
+
+        A short ray along the normal finds the patch; of a structure with several shapes it may
+        find another shape that is as near.
+        """
+        # far above the rounding of a point, far below the distance of two sheets
+        reach = 2.0**-14 * (dr.max(dr.abs(p)) + self._size)
+        ray = dr.zeros(mi.Ray3f, dr.width(p))
+        ray.o, ray.d, ray.maxt = dr.fma(reach, n, p), -mi.Vector3f(n), 2.0 * reach
+        hit = self.data.preliminary(ray, active)
+        return self.pdf(which, hit.patch, hit.pi.prim_uv, hit.bezier & mi.Bool(active))
