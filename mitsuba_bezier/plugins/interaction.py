@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from ..kernels.curvature import affine_second_partials, evaluate_second
 from ..kernels.patch import affine_partials, evaluate
+from .attached import follow_ray
 
 __all__ = ["PatchTables", "Preliminary", "surface_interaction"]
 
@@ -52,8 +53,10 @@ class PatchTables:
 
     def partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point and its first partials by the parameters."""
-        value = evaluate(self.nets, self.degree, patch, u, v, active)
-        p, pu, pv = affine_partials(*value)
+        value, d_du, d_dv = evaluate(self.nets, self.degree, patch, u, v, active)
+        if dr.grad_enabled(value):  # idle lanes: zero times infinity would be their derivative
+            value[3] = dr.select(active, value[3], 1.0)
+        p, pu, pv = affine_partials(value, d_du, d_dv)
         return mi.Point3f(*p), mi.Vector3f(*pu), mi.Vector3f(*pv)
 
     def geometry(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any, Any]:
@@ -62,12 +65,15 @@ class PatchTables:
         n = dr.cross(pu, pv)
         # collapsed edges and corners: the limit from inside
         flat = active & _is_flat(n, pu, pv)
-        n = dr.if_stmt(
-            args=(n, patch, u, v, flat),
-            cond=flat,
-            true_fn=lambda n, patch, u, v, flat: self._limit_normal(patch, u, v, flat),
-            false_fn=lambda n, patch, u, v, flat: n,
-        )
+        if dr.grad_enabled(n):  # Dr.Jit differentiates selections, not what a branch gathers
+            n = dr.select(flat, self._limit_normal(patch, u, v, flat), n)
+        else:
+            n = dr.if_stmt(
+                args=(n, patch, u, v, flat),
+                cond=flat,
+                true_fn=lambda n, patch, u, v, flat: self._limit_normal(patch, u, v, flat),
+                false_fn=lambda n, patch, u, v, flat: n,
+            )
         return p, pu, pv, n * self.sign(patch, active)
 
     def normal_partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
@@ -161,17 +167,24 @@ def surface_interaction(
 
     All fields are those of Mitsuba's own shapes. ``dn_du``, ``dn_dv`` are computed on request
     (`mi.RayFlags.dNGdUV` or `dNSdUV`: the shading normal is the true one). Partials are by the
-    texture coordinates `uv`.
+    texture coordinates `uv`. Where the nets or the ray carry derivatives, so do all fields: along
+    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters.
     """
     ours = hit.bezier & mi.Bool(active)
     pi = hit.pi
-    u, v = pi.prim_uv.x, pi.prim_uv.y
+    u, v, t = pi.prim_uv.x, pi.prim_uv.y, pi.t
+    attached = dr.grad_enabled(tables.nets, ray)
+    follows_shape = mi.has_flag(flags, mi.RayFlags.FollowShape)
+    if attached and not follows_shape:
+        u, v, t = follow_ray(tables, hit.patch, u, v, t, ray, ours)
     p, pu, pv, n = tables.geometry(hit.patch, u, v, ours)
     n = dr.normalize(n)
     # The hit point is the patch's, not o + t d. But (u, v) are float32 numbers too, and where
     # a patch runs to infinity a rounding of them moves the point further than one of t.
     reach = dr.max(dr.abs(ray.o)) + pi.t * dr.norm(ray.d)
-    p = dr.select(dr.norm(pu) + dr.norm(pv) > reach, dr.fma(pi.t, ray.d, ray.o), p)
+    p = dr.select(dr.norm(pu) + dr.norm(pv) > reach, dr.fma(t, ray.d, ray.o), p)
+    if attached and follows_shape:
+        t = dr.replace_grad(t, dr.norm(dr.select(ours, p - ray.o, 1.0)) / dr.norm(ray.d))
     uv, duv_du, duv_dv = tables.texture(hit.patch, u, v, ours)
     wants_dn = mi.has_flag(flags, mi.RayFlags.dNGdUV) or mi.has_flag(flags, mi.RayFlags.dNSdUV)
     nu = nv = mi.Vector3f(0.0)
@@ -187,7 +200,7 @@ def surface_interaction(
             nu, nv = dr.select(regular, nu, 0.0), dr.select(regular, nv, 0.0)
 
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(pi.t))
-    si.t = dr.select(ours, pi.t, dr.inf)
+    si.t = dr.select(ours, t, dr.inf)
     si.p = dr.select(ours, p, 0.0)
     si.n = dr.select(ours, mi.Normal3f(n), 0.0)
     si.uv = dr.select(ours, uv, 0.0)
