@@ -190,7 +190,7 @@ def make_shape_class() -> type:
             """Give all parameters their last valid values."""
             self.control_points = _tensor(self._object.control_points)
             self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
-            if self.texcoords is not None:
+            if self.texture_corners is not None:
                 self.texcoords = _tensor(self.texture_corners)
             for name, (_values, texture) in self._attributes.items():
                 texture.place_by(self.texture_corners)
