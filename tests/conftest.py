@@ -45,3 +45,20 @@ def python() -> Callable[..., CompletedProcess[str]]:
         )
 
     return run
+
+
+@pytest.fixture(scope="session")
+def chromium_browser():
+    """One headless Chromium for all reports; skipped without one, but an error under ``CI``."""
+    import os
+
+    import chromium
+
+    program = chromium.find()
+    if program is None:
+        message = "reports were not tested in a browser: no Chromium on the PATH"
+        if os.environ.get("CI", "").lower() in ("1", "true"):
+            pytest.fail(f"{message}, which this environment (CI is set) must have")
+        pytest.skip(message)
+    with chromium.Chromium(program) as browser:
+        yield browser

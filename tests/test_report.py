@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 import re
 import time
 from dataclasses import replace
 
-import chromium
 import numpy as np
 import pytest
 
@@ -201,18 +199,6 @@ def report_page(tmp_path_factory):
     entries = [report.entry(c, f"mitsuba-bezier compare --only {c.name}") for c in comparisons]
     report.write_report(path, entries, "Nightly", "Reference: a, test: b", "make all")
     return path
-
-
-@pytest.fixture(scope="module")
-def chromium_browser():
-    program = chromium.find()
-    if program is None:
-        message = "the report was not tested in a browser: no Chromium on the PATH"
-        if os.environ.get("CI", "").lower() in ("1", "true"):
-            pytest.fail(f"{message}, which this environment (CI is set) must have")
-        pytest.skip(message)
-    with chromium.Chromium(program) as browser:
-        yield browser
 
 
 @pytest.fixture

@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
     from ..verification.cases import CASES
     from ..verification.report import write_report
     from ..verification.verify import verify
-    from ..verification.verify_report import verify_entry
+    from ..verification.verify_report import WORDING, verify_entry
 
     names = [c.name for c in CASES]
     if args.list:
@@ -147,6 +147,8 @@ def run(args: argparse.Namespace) -> int:
 
     register()
     console = Console(stderr=args.json == "-")
+    if not console.is_terminal:
+        console.width = 120  # Rich would take 80, whatever reads it
     verdicts: list[Verdict] = []
     entries: list[Entry] = []
     with console.status("") as status:
@@ -168,32 +170,43 @@ def run(args: argparse.Namespace) -> int:
         _write(args.json, verdicts, args)
     if args.html:
         title = "Patches against analytic surfaces"
-        subtitle = f"Left: the formula in float64. Right: exact patches, {args.mode}."
-        write_report(args.html, entries, title, subtitle, shlex.join(args.argv))
+        subtitle = (
+            f"{args.resolution} × {args.resolution} rays of a perspective camera for each, "
+            f"{args.mode}. Lengths are relative, to the surface or the distance; angles in radians."
+        )
+        command = shlex.join(args.argv)
+        write_report(args.html, entries, title, subtitle, command, WORDING, by_name=False)
         console.print(f"report: {args.html}")
     return 0 if all(v.passed for v in verdicts) else 1
 
 
 def _print(console: Any, verdicts: Sequence[Verdict]) -> None:
+    from rich import box
     from rich.table import Table
 
-    table = Table(title="patches against formulas; lengths relative, angles in radians")
-    table.add_column("case")
-    for title in ("hits", "mask", "in band", "depth max", "mean", "position", "uv", "normal max"):
-        table.add_column(title, justify="right")
-    table.add_column("mean", justify="right")
-    table.add_column("")
+    def short(value: float) -> str:
+        return "0" if value == 0 else f"{value:.1e}".replace("e-0", "e-")
+
+    # largest errors fit 80 columns; with 120 there is room for the means
+    wide = console.width >= 100
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1 if wide else 0), collapse_padding=True)
+    table.title = "largest errors; lengths relative, angles in radians"
+    for title in ("case", "hits", "mask", "rim", "depth", "mean", "point", "uv", "normal", "mean"):
+        if wide or title != "mean":
+            table.add_column(title, justify="left" if title == "case" else "right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for v in verdicts:
+        means = [short(v.depth_mean), short(v.normal_mean)] if wide else []
         table.add_row(
-            v.name,
-            f"{v.hits}",
-            f"{v.mask_mismatches}",
-            f"{v.in_band}",
-            *(f"{x:.1e}" for x in (v.depth_max, v.depth_mean, v.position_max, v.uv_max)),
-            *(f"{x:.1e}" for x in (v.normal_max, v.normal_mean)),
+            *(v.name, str(v.hits), str(v.mask_mismatches), str(v.in_band)),
+            *(short(v.depth_max), *means[:1], short(v.position_max), short(v.uv_max)),
+            *(short(v.normal_max), *means[1:]),
             "[green]pass[/]" if v.passed else "[bold red]FAIL[/]",
         )
     console.print(table)
+    console.print(
+        "mask: hit and miss exchanged; rim: the same within 1e-6 of a silhouette or rim, not judged"
+    )
 
 
 def _write(path: str, verdicts: Sequence[Verdict], args: argparse.Namespace) -> None:

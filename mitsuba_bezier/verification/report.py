@@ -26,6 +26,7 @@ __all__ = [
     "Entry",
     "HeatMap",
     "Panel",
+    "Wording",
     "entry",
     "heat_map",
     "panel",
@@ -118,6 +119,8 @@ class Entry:
         Names, and values of the reference and of the test image: files, header attributes.
     thumbnail : bytes or None
         Small PNG file for the list.
+    summary : str
+        A line for the list if it passes; by default the judged numbers of the first panel.
     """
 
     name: str
@@ -127,6 +130,17 @@ class Entry:
     command: str = ""
     facts: list[tuple[str, str, str]] = field(default_factory=list)
     thumbnail: bytes | None = None
+    summary: str = ""
+
+
+@dataclass(frozen=True)
+class Wording:
+    """What the page calls the entries, the two sides of a pair, and the facts."""
+
+    item: str = "image"
+    reference: str = "reference"
+    test: str = "test"
+    facts: str = "Files"
 
 
 def heat_map(
@@ -225,7 +239,8 @@ def _panel_data(panel: Panel) -> dict[str, Any]:
         "width": panel.size[0],
         "height": panel.size[1],
         "reference": _uri(panel.reference),
-        "test": _uri(panel.test),
+        # the page shows the reference for both if they are equal
+        "test": None if panel.test == panel.reference else _uri(panel.test),
         "caption": panel.caption,
         "marked": panel.marked,
         "maps": [
@@ -248,7 +263,12 @@ def _panel_data(panel: Panel) -> dict[str, Any]:
 
 
 def render_report(
-    entries: Sequence[Entry], title: str, subtitle: str = "", command: str = ""
+    entries: Sequence[Entry],
+    title: str,
+    subtitle: str = "",
+    command: str = "",
+    wording: Wording | None = None,
+    by_name: bool = True,
 ) -> str:
     """Return the page as text, failures first.
 
@@ -260,8 +280,13 @@ def render_report(
         Heading, and what was compared with what.
     command : str
         A shell command that makes the whole report.
+    wording : Wording, optional
+        Other words than those for images.
+    by_name : bool
+        Whether entries of one state are sorted by name; else they stay as given.
     """
     data = {
+        "words": asdict(wording or Wording()),
         "title": title,
         "subtitle": subtitle,
         "command": command,
@@ -272,12 +297,13 @@ def render_report(
                 "name": e.name,
                 "state": e.state,
                 "message": e.message,
+                "summary": e.summary,
                 "command": e.command,
                 "facts": e.facts,
                 "thumbnail": None if e.thumbnail is None else _uri(e.thumbnail),
                 "panels": [_panel_data(p) for p in e.panels],
             }
-            for e in sorted(entries, key=lambda e: (_ORDER[e.state], e.name))
+            for e in sorted(entries, key=lambda e: (_ORDER[e.state], e.name if by_name else ""))
         ],
     }
     template = files(__package__).joinpath("report_template.html").read_text(encoding="utf-8")
@@ -293,6 +319,8 @@ def write_report(
     title: str,
     subtitle: str = "",
     command: str = "",
+    wording: Wording | None = None,
+    by_name: bool = True,
 ) -> None:
     """Write the page of `render_report`; folders on the way are made.
 
@@ -301,6 +329,6 @@ def write_report(
     FileFormatError
         If the file cannot be written.
     """
-    text = render_report(entries, title, subtitle, command)
+    text = render_report(entries, title, subtitle, command, wording, by_name)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
