@@ -193,8 +193,8 @@ def surface_interaction(
     if tables.texcoords is not None:
         pu, pv, regular = _by_texture(pu, pv, duv_du, duv_dv)
         # as Mitsuba's meshes: any basis where texture coordinates do not tell one
-        s, t = mi.coordinate_system(n)
-        pu, pv = dr.select(regular, pu, s), dr.select(regular, pv, t)
+        some, other = mi.coordinate_system(n)
+        pu, pv = dr.select(regular, pu, some), dr.select(regular, pv, other)
         if wants_dn:
             nu, nv, _ = _by_texture(nu, nv, duv_du, duv_dv)
             nu, nv = dr.select(regular, nu, 0.0), dr.select(regular, nv, 0.0)
