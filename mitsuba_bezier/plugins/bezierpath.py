@@ -13,7 +13,7 @@ from ..errors import BezierError
 from .emitters import EmitterSampling
 from .scene import SceneRays
 
-__all__ = ["make_path_class"]
+__all__ = ["make_path_class", "mis_weight", "skip_emitters"]
 
 
 def make_path_class() -> type:
@@ -72,10 +72,13 @@ def make_path_class() -> type:
             **kwargs: Any,
         ) -> tuple:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
-            if mode != dr.ADMode.Primal:
-                raise NotImplementedError("bezierpath: derivatives are not implemented yet")
-            L, valid = _trace(self, scene, sampler, ray, active)
-            return L, valid, [], L
+            if mode == dr.ADMode.Primal:
+                L, valid = _trace(self, scene, sampler, ray, active)
+                return L, valid, [], L
+            from .path_replay import replay
+
+            δL, valid, rest = replay(self, mode, scene, sampler, ray, δL, state_in, active)
+            return δL, valid, [], rest
 
         def to_string(self) -> str:
             return (
@@ -96,7 +99,7 @@ def mis_weight(pdf_a: Any, pdf_b: Any) -> Any:
     return dr.detach(dr.select(usable, dr.rcp(1 + dr.square(pdf_b / pdf_a)), 0), True)
 
 
-def _skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
+def skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
     """Move rays past directly visible area lights; return the rays."""
     hit = rays.preliminary(ray, True, active)
     seen = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & active  # noqa: E711
@@ -128,7 +131,7 @@ def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> 
     if max_depth == 0:  # as `path`: black, not even what is seen directly
         return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray))
     if hide:
-        ray = _skip_emitters(rays, ray, active)
+        ray = skip_emitters(rays, ray, active)
 
     state = {
         "ray": ray,

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.arrays import upload
+from .interaction import Preliminary
 from .scene import SceneRays
 from .surface_sampling import SurfaceSampling, direction_sample
 
@@ -50,8 +51,15 @@ class EmitterSampling:
 
     def sample(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any]:
         """Return a direction sample and its weight; visibility is not tested."""
+        return self.sample_hit(si, sample, active)[:2]
+
+    def sample_hit(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Preliminary]:
+        """Return what `sample` does, and the sampled point as a hit where it is on a patch."""
         if self.surfaces is None:
-            return self.scene.sample_emitter_direction(si, sample, False, active)
+            return (
+                *self.scene.sample_emitter_direction(si, sample, False, active),
+                Preliminary.miss(),
+            )
         index, weight, x = self.scene.sample_emitter(sample.x, active)
         sample = mi.Point2f(x, sample.y)
         light = dr.gather(mi.UInt32, self.of_emitter, index, active)
@@ -59,8 +67,9 @@ class EmitterSampling:
         emitter = dr.gather(mi.EmitterPtr, self.pointers, index, active)
         ds, value = emitter.sample_direction(si, sample, active & ~ours)
 
-        ps, patch = self.surfaces.sample(dr.select(ours, light, 0), sample, ours)
-        exact = direction_sample(ps, si)
+        light = dr.select(ours, light, 0)
+        patch, u, v, linear = self.surfaces.sample_parameters(light, sample, ours)
+        exact = direction_sample(self.surfaces.position(patch, u, v, linear, ours), si)
         exact.emitter = emitter
         data = self.rays.data
         assert data is not None
@@ -78,7 +87,10 @@ class EmitterSampling:
         value = dr.select(ours, dr.select(exact.pdf > 0, radiance * dr.rcp(exact.pdf), 0.0), value)
         pmf = self.scene.pdf_emitter(index, active)
         ds.pdf = ds.pdf * pmf
-        return ds, value * weight
+        hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), ours, patch)
+        hit.pi.t, hit.pi.prim_uv, hit.pi.shape = exact.dist, mi.Point2f(u, v), there.shape
+        hit.pi.prim_index, hit.pi.valid = there.prim_index, ours
+        return ds, value * weight, hit
 
     def pdf(self, ref: Any, ds: Any, si: Any, hit: Any, active: Any) -> Any:
         """Return the density of `sample` for a direction that met an emitter.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -21,6 +23,15 @@ class SceneRays:
         _runtime.check(mi.variant())
         self.scene = scene
         self.data: SceneData | None = data_for_scene(scene)
+
+    @contextmanager
+    def attach(self, mode: Any) -> Iterator[None]:
+        """Let interactions carry derivatives also in recorded loops; see `SceneData.attach`."""
+        if self.data is None:
+            yield
+            return
+        with self.data.attach(mode):
+            yield
 
     def preliminary(self, ray: Any, coherent: bool = False, active: Any = True) -> Preliminary:
         """Return the nearest hit."""

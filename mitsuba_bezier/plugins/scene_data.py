@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -16,6 +19,7 @@ from ..kernels.arrays import types_of, upload
 from ..kernels.patch import pack
 from ..kernels.structure import build_structure
 from ..kernels.traverse import intersect
+from .attached import attached_tables
 from .interaction import PatchTables, Preliminary, surface_interaction
 from .surface_sampling import SurfaceSampling
 
@@ -35,6 +39,8 @@ class SceneData:
 
     def __init__(self, shapes: list[Any], indices: list[int], scene: Any = None) -> None:
         self.shapes = shapes
+        #: The tables while an integrator tracks derivatives
+        self.attached: PatchTables | None = None
         self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
         self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
         parts, patch_shape, patch_first = [], [], []
@@ -113,7 +119,33 @@ class SceneData:
 
     def surface_interaction(self, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Any:
         """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere."""
-        return surface_interaction(self.tables, hit, ray, flags, active)
+        tables = self.tables
+        if not mi.has_flag(flags, mi.RayFlags.DetachShape):
+            tables = self.attached or attached_tables(tables, self.shapes)
+        return surface_interaction(tables, hit, ray, flags, active)
+
+    @contextmanager
+    def attach(self, mode: Any) -> Iterator[None]:
+        """Make the nets carry derivatives once, for all interactions within.
+
+        Parameters
+        ----------
+        mode : dr.ADMode
+            ``Forward`` brings the derivatives of the parameters to the nets now: inside of a
+            recorded loop they could not come from outside.
+        """
+        with dr.resume_grad():
+            self.attached = attached_tables(self.tables, self.shapes)
+            if mode == dr.ADMode.Forward and dr.grad_enabled(self.attached.nets):
+                dr.forward_to(self.attached.nets, flags=dr.ADFlag.ClearNone)
+                nets = mi.Float(dr.detach(self.attached.nets))
+                dr.enable_grad(nets)
+                dr.set_grad(nets, dr.grad(self.attached.nets))
+                self.attached = replace(self.tables, nets=nets)
+        try:
+            yield
+        finally:
+            self.attached = None
 
     def surface_sampling(self, numbers: tuple[int, ...]) -> SurfaceSampling:
         """Return the sampling of these shapes, made at its first use."""

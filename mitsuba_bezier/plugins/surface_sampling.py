@@ -167,6 +167,11 @@ class SurfaceSampling:
         UInt32
             The patch, numbered as a hit's.
         """
+        patch, u, v, linear = self.sample_parameters(which, sample, active)
+        return self.position(patch, u, v, linear, active), patch
+
+    def sample_parameters(self, which: Any, sample: Any, active: Any) -> tuple[Any, ...]:
+        """Sample patch, parameters and, the last, their density in ``(u, v)``; see `sample`."""
         first, r, offset, count = self._row(which, active)
         # bisection between bounds that differ from lane to lane
         cell, end = mi.UInt32(offset), offset + count - 1
@@ -199,16 +204,19 @@ class SurfaceSampling:
         step = 1.0 / mi.Float(r)
         u = (mi.Float(i) + dr.select(down, 1.0 - a, a)) * step
         v = (mi.Float(j) + dr.select(down, 1.0 - b, b)) * step
+        linear = dr.fma(a, c[1] - c[0], dr.fma(b, c[2] - c[0], c[0]))
+        return patch, u, v, linear
 
+    def position(self, patch: Any, u: Any, v: Any, linear: Any, active: Any) -> Any:
+        """Return the `mi.PositionSample3f` of what `sample_parameters` returned."""
         tables = self.data.tables
         point, n, density = tables.point_and_normal(patch, u, v, active)
         ps = dr.zeros(mi.PositionSample3f, dr.width(u))
         ps.p, ps.n = point, n
         ps.uv = tables.texture(patch, u, v, active)[0]
-        linear = dr.fma(a, c[1] - c[0], dr.fma(b, c[2] - c[0], c[0]))
         ps.pdf = dr.select(mi.Bool(active) & (density > 0), linear / density, 0.0)
         ps.delta = False
-        return ps, patch
+        return ps
 
     def pdf(self, which: Any, patch: Any, uv: Any, active: Any) -> Any:
         """Return the density by area at parameters `uv` of a patch (numbered as a hit's)."""
