@@ -223,12 +223,12 @@ def test_faces_are_named_when_refused(occ, tmp_path, monkeypatch):
     path = occ.write(occ.box(1.0, 1.0, 1.0), tmp_path / "a.step")
     original = cad._convert
 
-    def convert(library, face, collector, name):
+    def convert(library, face, collector, name, trims):
         if name == "face 2":
             return "a reason"
         if name == "face 4":
             raise RuntimeError("Standard_Failure\nmore")
-        return original(library, face, collector, name)
+        return original(library, face, collector, name, trims)
 
     monkeypatch.setattr(cad, "_convert", convert)
     model = cad.read_here(path)
@@ -312,7 +312,7 @@ def test_a_process_that_dies(tmp_path, monkeypatch, code, message):
     package.write_text(
         "import sys\n"
         "from mitsuba_bezier.io import cad\n"
-        f"def read_here(path):\n    {code}\n"
+        f"def read_here(path, trims):\n    {code}\n"
         "cad.read_here = read_here\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -34,6 +34,12 @@ def add_parser(subparsers: Any) -> None:
         choices=("appended", "binary", "ascii"),
         help="for .vtu: raw, base64 or text (default: appended)",
     )
+    add(
+        "--trims",
+        action="store_true",
+        help="for .vtu: keep faces that are trimmed by curves as patches with trims, which "
+        "renders here show exactly and other programs show whole (default: restrict the patches)",
+    )
     add("--elevate", action="store_true", help="elevate all patches to the highest degree")
     add("--strict", action="store_true", help="exit with 1 if a face was refused")
     add("-q", "--quiet", action="store_true", help="show errors only")
@@ -43,15 +49,24 @@ def run(args: argparse.Namespace) -> int:
     """Convert the file; return 0, or 1 if faces were refused and ``--strict`` is given."""
     from ..io import read, save, writer_options
 
-    options = {
+    options: dict[str, Any] = {
         name: value
-        for name, value in (("chord_error", args.chord_error), ("encoding", args.encoding))
+        for name, value in (
+            ("chord_error", args.chord_error),
+            ("encoding", args.encoding),
+            ("trims", args.trims or None),
+        )
         if value is not None
     }
     writer_options(args.output, options)  # a wrong suffix is told before the work is done
-    model = read(args.input)
+    model = read(args.input, trims=args.trims)
     report = model.report
-    groups = [model.triangles()] if args.elevate else model.groups
+    groups, trims = model.groups, model.trims or [None] * len(model.groups)
+    if args.elevate:
+        joined, joined_trims = model.trimmed()
+        groups, trims = [joined], [joined_trims]
+    if args.trims:
+        options["trims"] = trims
     save(groups, args.output, **options)
     if not args.quiet:
         for note in report.notes:

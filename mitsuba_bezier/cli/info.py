@@ -31,7 +31,8 @@ def examine(model: Model) -> dict[str, Any]:
 
     report = model.report
     groups = []
-    for group in model.groups:
+    parts = model.trims or [None] * len(model.groups)
+    for group, trims in zip(model.groups, parts):
         net = group.control_points
         weight = net[..., 3]
         groups.append(
@@ -42,6 +43,7 @@ def examine(model: Model) -> dict[str, Any]:
                 "weights": [float(weight.min()), float(weight.max())],
                 "at_infinity": int(((weight == 0) & net.any(axis=-1)).sum()),
                 "negative_weights": int((weight < 0).sum()),
+                "trimmed": 0 if trims is None else int((trims.region >= 0).sum()),
             }
         )
     bounds = np.concatenate([group.bounds() for group in model.groups])
@@ -64,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the facts; return 0."""
     from ..io import read
 
-    found = examine(read(args.file))
+    found = examine(read(args.file, trims=True))
     if args.json:
         print(json.dumps(found, indent=2))
         return 0
@@ -79,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
                 weights += f", {group['at_infinity']} control points at infinity"
             if group["negative_weights"]:
                 weights += f", {group['negative_weights']} negative"
+        if group["trimmed"]:
+            weights += f", {group['trimmed']} with trims"
         print(f"  patches     {group['patches']} of degree {group['degree']}, {weights}")
     for name, side in zip(("from", "to"), found["bounds"]):
         numbers = ", ".join("infinity" if x is None else f"{x:.6g}" for x in side)

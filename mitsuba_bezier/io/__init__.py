@@ -14,6 +14,7 @@ from typing import Any
 
 from ..errors import FileFormatError
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trims import Trims
 from .report import FormatWarning, Model, Refusal, Report
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "known_suffixes",
     "load",
     "load_groups",
+    "load_trimmed",
     "read",
     "save",
     "writer_options",
@@ -50,7 +52,9 @@ _READERS = {
     ".vtu": "vtu.read",
 }
 #: Options of the writers, by suffix.
-_OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding",)}
+_OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims")}
+#: Suffixes of the formats whose patches can have trims.
+_TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".step", ".stp", ".vtu")
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}
 
 
@@ -74,8 +78,17 @@ def _function(path: str | PathLike[str], table: dict[str, str], verb: str) -> Ca
     return getattr(import_module(f".{module}", __name__), name)
 
 
-def read(path: str | PathLike[str]) -> Model:
+def read(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a file and the account of its faces; no warnings are issued.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    trims : bool
+        Whether patches may have trims. If not, faces that are trimmed by curves are restricted to
+        them, or refused where that fails; trimmed patches of ``.vtu`` files are returned whole,
+        with a note.
 
     Raises
     ------
@@ -83,7 +96,8 @@ def read(path: str | PathLike[str]) -> Model:
         If the suffix is unknown, the file is missing or damaged, or no face of it can be
         converted.
     """
-    return _function(path, _READERS, "read")(path)
+    reader = _function(path, _READERS, "read")
+    return reader(path, trims) if trims and Path(path).suffix.lower() in _TRIMMED else reader(path)
 
 
 def load(path: str | PathLike[str]) -> BezierTriangles:
@@ -109,6 +123,19 @@ def load_groups(path: str | PathLike[str]) -> list[BezierTriangles]:
     model = read(path)
     model.report.warn()
     return model.groups
+
+
+def load_trimmed(path: str | PathLike[str]) -> tuple[BezierTriangles, Trims | None]:
+    """Read a file as `load` does, but with trims where its faces have any.
+
+    Returns
+    -------
+    pair of BezierTriangles and Trims or None
+        Patches of one degree, and which parts of their parameters are there; None: all of it.
+    """
+    model = read(path, trims=True)
+    model.report.warn()
+    return model.trimmed()
 
 
 def writer_options(path: str | PathLike[str], options: dict[str, Any]) -> None:
@@ -139,7 +166,7 @@ def save(
     path : path
         The file; its suffix tells the format.
     **options
-        Those of the format: ``encoding`` for ``.vtu``, ``chord_error`` for ``.ply``.
+        Those of the format: ``encoding`` and ``trims`` for ``.vtu``, ``chord_error`` for ``.ply``.
 
     Raises
     ------

@@ -6,9 +6,11 @@ Every face is converted exactly, or reported:
   each rectangle becomes Bézier patches, two triangles each. Planes, cylinders, cones, spheres,
   tori, surfaces of revolution and extrusion and NURBS are exact as rational patches.
 * A plane face with other boundaries is filled with curved plane triangles (`plane_regions`).
-* Other faces trimmed by curves are restricted to curved triangles of their parameter plane
-  (`trimmed_patches`): the surface is exact; the trimming curve is, too, if it is a conic on a
-  NURBS surface, and else replaced by parabolas within 1e-5 of the size of the face.
+* Other faces trimmed by curves keep the patches of their surface, with the curves as trims
+  (`trimmed_grid`), if the caller asks for them: both are exact.
+* If not, they are restricted to curved triangles of their parameter plane (`trimmed_patches`): the
+  surface is exact; the trimming curve is, too, if it is a conic on a NURBS surface, and else
+  replaced by parabolas within 1e-5 of the size of the face.
 
 Lengths are those of the file in millimetres, as OpenCASCADE converts them.
 """
@@ -24,14 +26,15 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..geometry import bernstein
-from .cad_surfaces import curve_pieces, parameter_map, surface_grid
+from ..geometry.trims import Trims
+from .cad_surfaces import angular_axes, curve_pieces, parameter_map, surface_grid
 from .files import damaged, read_bytes
 from .isolated import read_isolated
 from .nurbs_surface import bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .report import Collector, Model
 from .tensor_nets import tensor_nets
-from .trimmed_patches import fit_parabolas, trimmed_patches
+from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimmed_patches
 from .trims import rectangles, rectilinear
 
 __all__ = ["read", "read_here"]
@@ -123,10 +126,21 @@ def _explore(occ: Any, shape: Any, kind: Any) -> Iterator[Any]:
         explorer.Next()
 
 
-def read(path: str | PathLike[str]) -> Model:
+#: Nets of one degree, and the trims of their patches.
+Part = tuple[np.ndarray, Trims | None]
+
+
+def read(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a STEP, IGES or BREP file.
 
     It is read in a process of its own (see `isolated`).
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    trims : bool
+        Whether patches may have trims.
 
     Raises
     ------
@@ -134,10 +148,10 @@ def read(path: str | PathLike[str]) -> Model:
         If OpenCASCADE is not installed, the file is missing or damaged, or no face of it can
         be converted.
     """
-    return read_isolated("cad", path)
+    return read_isolated("cad", path, trims)
 
 
-def read_here(path: str | PathLike[str]) -> Model:
+def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a STEP, IGES or BREP file, in this process: a damaged file can end it.
 
     Raises
@@ -155,7 +169,7 @@ def read_here(path: str | PathLike[str]) -> Model:
         face = occ.face(item)
         name = f"face {number}"
         try:
-            nets = _convert(occ, face, collector, name)
+            parts = _convert(occ, face, collector, name, trims)
         except (FileFormatError, MemoryError):
             raise
         except Exception as error:  # a face like no other must not cost the rest: report it
@@ -163,17 +177,17 @@ def read_here(path: str | PathLike[str]) -> Model:
             reason = f"{type(error).__name__}: {text[0][:80] if text else ''}"
             collector.report.refuse(name, f"failed with {reason}")
             continue
-        if isinstance(nets, str):
-            collector.report.refuse(name, nets)
+        if isinstance(parts, str):
+            collector.report.refuse(name, parts)
             continue
-        for net in nets:
-            collector.add(net, number)
+        for nets, part_trims in parts:
+            collector.add(nets, number, part_trims)
         collector.report.accept()
     return collector.model(lambda: damaged(path, "faces", "none that can be converted"))
 
 
-def _convert(occ: Any, face: Any, collector: Collector, name: str) -> list[np.ndarray] | str:
-    """Return nets ``(P, K, 4)`` of one face, or the reason why there are none."""
+def _convert(occ: Any, face: Any, collector: Collector, name: str, trims: bool) -> list[Part] | str:
+    """Return the parts of one face, or the reason why there are none."""
     turned = face.Orientation() == occ.abs.TopAbs_REVERSED
     face = occ.face(face.Oriented(occ.abs.TopAbs_FORWARD))
     surface = occ.brep.BRep_Tool.Surface_s(face)
@@ -198,24 +212,43 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str) -> list[np.nd
     extent = np.ptp(flat, axis=0)
     # 1e-7 of the extent: the precision OpenCASCADE works with, relative to lengths near 1
     tolerance = 1e-7 * np.maximum(extent, 1e-12)
+    if _is_sliver(surface, points):
+        return "a sliver without area"
     edges = rectilinear([points], tolerance)
     if isinstance(surface, occ.geom.Geom_OffsetSurface):
         collector.report.notes.append(f"{name} is an offset surface, approximated to 0.0001 mm")
     if edges is None:
+        found: list[np.ndarray] | str = "trimmed by curves"
         if isinstance(surface, occ.geom.Geom_Plane):
             found = _plane_region(surface, curves, extent)
-        else:
+        elif not trims:
             found = _curved_region(occ, surface, edge_curves)
-        if isinstance(found, str):
-            return f"{kind}: {found}"
-        return [_orient(net, turned) for net in found]
+        if not isinstance(found, str):
+            return [(_orient(net, turned), None) for net in found]
+        part = _trimmed_part(occ, surface, curves, turned) if trims else found
+        return f"{kind}: {part}" if isinstance(part, str) else [part]
     boxes = rectangles(edges, tolerance)
     if isinstance(boxes, str):
         return f"{kind}: {boxes}"
     return [
-        _orient(tensor_nets(surface_grid(occ, surface, box).rectangle(box)), turned)
+        (_orient(tensor_nets(surface_grid(occ, surface, box).rectangle(box)), turned), None)
         for box in boxes
     ]
+
+
+def _is_sliver(surface: Any, points: list[np.ndarray]) -> bool:
+    """Tell whether a face is less than a millionth as thick as it is long, in space."""
+    flat = np.concatenate(points)
+    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
+    spread = flat - flat.mean(axis=0)
+    steps = 1e-4 * np.maximum(np.ptp(flat, axis=0), 1e-12)
+    rates = []
+    for axis in range(2):
+        ends = [middle + sign * steps * np.eye(2)[axis] for sign in (-1, 1)]
+        a, b = (surface.Value(*uv) for uv in np.array(ends).tolist())
+        rates.append(a.Distance(b) / (2 * steps[axis]))
+    sigma = np.linalg.svd(spread * rates, compute_uv=False)
+    return bool(sigma[1] < 1e-6 * sigma[0])
 
 
 def _orient(nets: np.ndarray, turned: bool) -> np.ndarray:
@@ -258,6 +291,18 @@ def _plane_region(
     location = position.Location()
     frame[2] = location.X(), location.Y(), location.Z(), 1.0
     return [(net @ frame)[None] for net in nets]
+
+
+def _trimmed_part(occ: Any, surface: Any, curves: list[np.ndarray], turned: bool) -> Part | str:
+    """Return the patches of a face with its trimming curves, in its own parameters."""
+    flat = np.concatenate([bezier_points(c, _SAMPLES) for c in curves])
+    box = np.stack([flat.min(axis=0), flat.max(axis=0)], axis=1)
+    grid = surface_grid(occ, surface, box)
+    angular = angular_axes(surface, grid, box)
+    if isinstance(angular, str):
+        return angular
+    closed = closed_boundary(curves, box)
+    return closed if isinstance(closed, str) else trimmed_grid(grid, closed, angular, turned)
 
 
 def _curved_region(occ: Any, surface: Any, edges: list[np.ndarray]) -> list[np.ndarray] | str:

@@ -18,7 +18,14 @@ import numpy as np
 from .nurbs import curve_to_bezier
 from .nurbs_surface import PatchGrid
 
-__all__ = ["angle_map", "arc", "curve_pieces", "parameter_map", "surface_grid"]
+__all__ = [
+    "angle_map",
+    "angular_axes",
+    "arc",
+    "curve_pieces",
+    "parameter_map",
+    "surface_grid",
+]
 
 
 def arc(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
@@ -250,13 +257,46 @@ def _identity(x: np.ndarray) -> np.ndarray:
     return x
 
 
+def _chosen_map(grid: PatchGrid, angular: tuple[bool, bool]) -> Callable[[np.ndarray], np.ndarray]:
+    maps = [
+        angle_map(breaks) if turned else _identity
+        for breaks, turned in zip((grid.u, grid.v), angular)
+    ]
+
+    def place(uv: np.ndarray) -> np.ndarray:
+        inside = np.clip(uv, grid.domain[:, 0], grid.domain[:, 1])
+        return np.stack([maps[axis](inside[:, axis]) for axis in range(2)], axis=1)
+
+    return place
+
+
+def angular_axes(surface: Any, grid: PatchGrid, box: np.ndarray) -> tuple[bool, bool] | str:
+    """Tell which parameters of a surface are angles of the arcs of its patches.
+
+    Parameter lines are kept, so u and v are the same each on its own, or the angle of an arc.
+    Which it is, three points tell.
+
+    Returns
+    -------
+    (bool, bool), or str
+        For u and v; a reason if the parameters could not be related.
+    """
+    low, high = np.maximum(box[:, 0], grid.domain[:, 0]), np.minimum(box[:, 1], grid.domain[:, 1])
+    probes = low + (high - low) * [[0.21, 0.6], [0.47, 0.1], [0.83, 0.95]]
+    wanted = np.array([_vector(surface.Value(*uv)) for uv in probes.tolist()])
+    for first in (False, True):
+        for second in (False, True):
+            place = _chosen_map(grid, (first, second))
+            # 1e-9 of the size: rounding, far below the difference of two parametrisations
+            if np.abs(grid.jet(place(probes))[0] - wanted).max() < 1e-9 * grid.size:
+                return first, second
+    return "its parameters could not be related to those of its NURBS form"
+
+
 def parameter_map(
     surface: Any, grid: PatchGrid, box: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray] | str | None:
     """Return the map of the parameters of a surface to those of its patches.
-
-    Parameter lines are kept, so u and v are mapped each on its own: not at all, or as the angle
-    of an arc. Which it is, three points tell.
 
     Returns
     -------
@@ -264,19 +304,7 @@ def parameter_map(
         From ``(N, 2)`` to ``(N, 2)``; None if the parameters are the same; a reason if they
         could not be related.
     """
-    low, high = np.maximum(box[:, 0], grid.domain[:, 0]), np.minimum(box[:, 1], grid.domain[:, 1])
-    probes = low + (high - low) * [[0.21, 0.6], [0.47, 0.1], [0.83, 0.95]]
-    wanted = np.array([_vector(surface.Value(*uv)) for uv in probes.tolist()])
-    maps = [(_identity, angle_map(breaks)) for breaks in (grid.u, grid.v)]
-    for first in range(2):
-        for second in range(2):
-            chosen = (maps[0][first], maps[1][second])
-
-            def place(uv: np.ndarray, chosen: tuple = chosen) -> np.ndarray:
-                inside = np.clip(uv, grid.domain[:, 0], grid.domain[:, 1])
-                return np.stack([chosen[axis](inside[:, axis]) for axis in range(2)], axis=1)
-
-            # 1e-9 of the size: rounding, far below the difference of two parametrisations
-            if np.abs(grid.jet(place(probes))[0] - wanted).max() < 1e-9 * grid.size:
-                return place if first or second else None
-    return "its parameters could not be related to those of its NURBS form"
+    angular = angular_axes(surface, grid, box)
+    if isinstance(angular, str):
+        return angular
+    return _chosen_map(grid, angular) if any(angular) else None

@@ -13,6 +13,7 @@ from math import comb
 import numpy as np
 
 from ..geometry import bernstein
+from ..geometry.trims import Trims
 from .report import Collector
 from .tensor_nets import tensor_nets
 
@@ -76,7 +77,13 @@ def _matrix(kind: str, lattice: tuple[tuple[int, ...], ...]) -> np.ndarray:
 _SERENDIPITY = np.concatenate([np.eye(8), [[-0.25] * 4 + [0.5] * 4]])
 
 
-def add_cells(collector: Collector, cells: Cells, points: np.ndarray, sources: np.ndarray) -> None:
+def add_cells(
+    collector: Collector,
+    cells: Cells,
+    points: np.ndarray,
+    sources: np.ndarray,
+    trims: Trims | None = None,
+) -> None:
     """Convert triangles or quadrilaterals and enter them in the report.
 
     Parameters
@@ -89,6 +96,8 @@ def add_cells(collector: Collector, cells: Cells, points: np.ndarray, sources: n
         Homogeneous points; those of Lagrange cells have weight 1.
     sources : (C,) int array
         Numbers of the faces in the file.
+    trims : Trims, optional
+        Of triangles.
     """
     lattice = tuple(map(tuple, cells.lattice.tolist()))
     if cells.bezier:
@@ -100,7 +109,7 @@ def add_cells(collector: Collector, cells: Cells, points: np.ndarray, sources: n
         p, q = cells.lattice.max(axis=0).tolist()
         nets = tensor_nets(nets.reshape(-1, p + 1, q + 1, 4))
         sources = np.repeat(sources, 2)
-    collector.add(nets, sources)
+    collector.add(nets, sources, trims)
     collector.report.accept(len(cells.nodes))
 
 

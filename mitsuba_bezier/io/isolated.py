@@ -21,8 +21,10 @@ import numpy as np
 
 from ..errors import BezierError, FileFormatError
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trims import Trims
 from .files import damaged, read_bytes
 from .report import Model, Refusal, Report
+from .trim_arrays import packed_trims, unpacked_trims
 
 __all__ = ["read_isolated"]
 
@@ -32,7 +34,7 @@ TIME_LIMIT = 1800
 _MEMORY = 16 << 30  # address space beyond 100 times the size of the file, in bytes
 
 
-def read_isolated(module: str, path: str | PathLike[str]) -> Model:
+def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -> Model:
     """Call ``read_here`` of a module of this package in a second Python.
 
     Parameters
@@ -41,6 +43,8 @@ def read_isolated(module: str, path: str | PathLike[str]) -> Model:
         Name of the module.
     path : path
         The file.
+    trims : bool
+        Whether patches may have trims.
 
     Raises
     ------
@@ -51,7 +55,7 @@ def read_isolated(module: str, path: str | PathLike[str]) -> Model:
     with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
         out = Path(folder) / "model.npz"
         command = [sys.executable, "-c", f"import {__name__} as i; i.work()"]
-        arguments = [module, str(path), str(out), str(_MEMORY + 100 * size)]
+        arguments = [module, str(path), str(out), str(_MEMORY + 100 * size), str(int(trims))]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
         try:
             done = subprocess.run(
@@ -80,7 +84,7 @@ def read_isolated(module: str, path: str | PathLike[str]) -> Model:
 
 def work() -> None:
     """Read a file in this process and write what was found; for `read_isolated` only."""
-    module, path, out, memory = sys.argv[1:]
+    module, path, out, memory, trims = sys.argv[1:]
     try:
         import resource
 
@@ -88,7 +92,7 @@ def work() -> None:
     except (ImportError, ValueError, OSError):
         pass  # not every system has such limits
     try:
-        model = import_module(f".{module}", __package__).read_here(path)
+        model = import_module(f".{module}", __package__).read_here(path, trims == "1")
     except BezierError as error:
         print(" ".join(str(error).split()), file=sys.stderr, flush=True)
         os._exit(3)
@@ -107,6 +111,9 @@ def work() -> None:
     }
     arrays = {f"net{k}": g.control_points for k, g in enumerate(model.groups)}
     arrays |= {f"source{k}": s for k, s in enumerate(model.sources)}
+    for k, part in enumerate(model.trims):
+        if part is not None:
+            arrays |= {f"trim{k}.{name}": a for name, a in packed_trims(part).items()}
     partial = Path(out).with_suffix(".partial.npz")
     np.savez(partial, facts=np.array(json.dumps(facts)), **arrays)
     os.replace(partial, out)
@@ -120,4 +127,9 @@ def _unpack(path: Path) -> Model:
         count = sum(name.startswith("net") for name in data.files)
         groups = [BezierTriangles(data[f"net{k}"]) for k in range(count)]
         sources = [data[f"source{k}"] for k in range(count)]
-    return Model(groups, sources, Report(**facts))
+        trims: list[Trims | None] = []
+        for k in range(count):
+            part = {n.removeprefix(f"trim{k}."): data[n] for n in data.files if f"trim{k}." in n}
+            trims.append(unpacked_trims(part) if part else None)
+    some = any(t is not None for t in trims)
+    return Model(groups, sources, Report(**facts), trims if some else [])

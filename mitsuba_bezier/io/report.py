@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trims import Trims
 
 __all__ = ["FormatWarning", "Model", "Refusal", "Report"]
 
@@ -97,18 +98,32 @@ class Model:
     sources : list of (P,) int arrays
         For each group, the number of the face in the file that each patch comes from.
     report : Report
+    trims : list of (Trims or None)
+        For each group the trims of its patches, None if they are whole. Empty if none is
+        trimmed.
     """
 
     groups: list[BezierTriangles]
     sources: list[np.ndarray]
     report: Report
+    trims: list[Trims | None] = field(default_factory=list)
 
     def triangles(self) -> BezierTriangles:
         """Return all patches elevated to the highest degree, in the order of the file."""
+        return self.trimmed()[0]
+
+    def trimmed(self) -> tuple[BezierTriangles, Trims | None]:
+        """Return what `triangles` does, and the trims of these patches, None if all are whole."""
+        parts = self.trims or [None] * len(self.groups)
+        some = any(part is not None for part in parts)
         if len(self.groups) == 1:
-            return self.groups[0]
-        joined = BezierTriangles.join(self.groups)
-        return joined[np.argsort(np.concatenate(self.sources), kind="stable")]
+            return self.groups[0], parts[0]
+        order = np.argsort(np.concatenate(self.sources), kind="stable")
+        joined = BezierTriangles.join(self.groups)[order]
+        if not some:
+            return joined, None
+        filled = [Trims.none(len(g)) if t is None else t for t, g in zip(parts, self.groups)]
+        return joined, Trims.join(filled)[order]
 
 
 class Collector:
@@ -118,10 +133,12 @@ class Collector:
         self.report = Report(str(path), format)
         self._nets: dict[int, list[np.ndarray]] = {}
         self._sources: dict[int, list[np.ndarray]] = {}
+        self._trims: dict[int, list[Trims | None]] = {}
 
-    def add(self, nets: np.ndarray, sources: np.ndarray | int) -> None:
+    def add(self, nets: np.ndarray, sources: np.ndarray | int, trims: Trims | None = None) -> None:
         """Add nets ``(P, K, 4)`` that come from the faces `sources` (one number, or ``(P,)``)."""
         key = nets.shape[1]
+        self._trims.setdefault(key, []).append(trims)
         self._nets.setdefault(key, []).append(nets)
         self._sources.setdefault(key, []).append(np.broadcast_to(sources, len(nets)))
 
@@ -139,6 +156,7 @@ class Collector:
                 raise FileFormatError(f"{error} ({self.report.summary()})")
             raise error
         groups, sources = [], []
+        trims: list[Trims | None] = []
         for key in sorted(self._nets):
             nets = np.concatenate(self._nets[key])
             order = np.argsort(np.concatenate(self._sources[key]), kind="stable")
@@ -147,7 +165,18 @@ class Collector:
             self._check(nets, where)
             groups.append(BezierTriangles(nets))
             sources.append(where)
-        return Model(groups, sources, self.report)
+            trims.append(self._joined_trims(key, order))
+        some = any(t is not None for t in trims)
+        return Model(groups, sources, self.report, trims if some else [])
+
+    def _joined_trims(self, key: int, order: np.ndarray) -> Trims | None:
+        parts = self._trims[key]
+        if all(t is None for t in parts):
+            return None
+        filled = [
+            Trims.none(len(nets)) if t is None else t for t, nets in zip(parts, self._nets[key])
+        ]
+        return Trims.join(filled)[order]
 
     def _check(self, nets: np.ndarray, where: np.ndarray) -> None:
         """Turn unusable numbers into an error that names the file and the face."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import BezierError, FileFormatError
 from ..geometry import bernstein
+from ..geometry.trims import Trims
 from .files import damaged, read_bytes
 from .isolated import read_isolated
 from .nurbs import curve_to_bezier
@@ -21,7 +22,8 @@ from .nurbs_surface import PatchGrid, bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .report import Collector, Model
 from .tensor_nets import tensor_nets
-from .trimmed_patches import fit_parabolas, trimmed_patches
+from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimmed_patches
+from .trims import rectilinear
 
 __all__ = ["read", "read_here"]
 
@@ -40,9 +42,16 @@ def _library() -> Any:
     return rhino3dm
 
 
+#: Nets of one degree, and the trims of their patches.
+_Part = tuple[np.ndarray, Trims | None]
+
+
 class _Reader:
-    def __init__(self, path: str | PathLike[str], library: Any, file: Any) -> None:
+    def __init__(
+        self, path: str | PathLike[str], library: Any, file: Any, trims: bool = False
+    ) -> None:
         self.library = library
+        self.trims = trims
         self.collector = Collector(path, "3dm")
         self.objects = {str(o.Attributes.Id): o for o in file.Objects}
         self.blocks = {str(d.Id): d for d in file.InstanceDefinitions}
@@ -66,7 +75,8 @@ class _Reader:
             item, kind = item.ToBrep(True), "Brep"
         if kind == "Brep":
             for number in range(len(item.Faces)):
-                self.add(f"{name} face {number}", matrix, _brep_face, item, item.Faces[number])
+                face = item.Faces[number]
+                self.add(f"{name} face {number}", matrix, _brep_face, item, face, self.trims)
         elif kind in ("NurbsSurface", "RevSurface", "PlaneSurface", "Surface", "SumSurface"):
             self.add(name, matrix, _whole_surface, item)
         elif kind in ("Mesh", "SubD"):
@@ -76,22 +86,29 @@ class _Reader:
 
     def add(self, name: str, matrix: np.ndarray, convert: Any, *arguments: Any) -> None:
         try:
-            nets = convert(*arguments)
+            parts: list[_Part] | str = convert(*arguments)
         except BezierError as error:
-            nets = str(error)
-        if isinstance(nets, str):
-            self.collector.report.refuse(name, nets)
+            parts = str(error)
+        if isinstance(parts, str):
+            self.collector.report.refuse(name, parts)
             return
         number = self.collector.report.faces
-        for net in nets:
-            self.collector.add(net @ matrix.T, number)
+        for nets, part_trims in parts:
+            self.collector.add(nets @ matrix.T, number, part_trims)
         self.collector.report.accept()
 
 
-def read(path: str | PathLike[str]) -> Model:
+def read(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a ``.3dm`` file.
 
     It is read in a process of its own (see `isolated`).
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    trims : bool
+        Whether patches may have trims.
 
     Raises
     ------
@@ -99,10 +116,10 @@ def read(path: str | PathLike[str]) -> Model:
         If rhino3dm is not installed, the file is missing or damaged, or no face of it can
         be converted.
     """
-    return read_isolated("rhino", path)
+    return read_isolated("rhino", path, trims)
 
 
-def read_here(path: str | PathLike[str]) -> Model:
+def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a ``.3dm`` file, in this process: a damaged file can end it.
 
     Raises
@@ -118,7 +135,7 @@ def read_here(path: str | PathLike[str]) -> Model:
     file = library.File3dm.Read(str(path))
     if file is None:
         raise damaged(path, "a file that rhino3dm can read", "one it refuses")
-    reader = _Reader(path, library, file)
+    reader = _Reader(path, library, file, trims)
     for number, item in enumerate(file.Objects):
         if not item.Attributes.IsInstanceDefinitionObject:
             reader.geometry(item.Geometry, f"object {number}", np.eye(4))
@@ -147,9 +164,9 @@ def _nurbs(surface: Any) -> PatchGrid:
     return PatchGrid.from_nurbs(net, _knots(form.KnotsU), _knots(form.KnotsV), degrees)
 
 
-def _whole_surface(surface: Any) -> list[np.ndarray]:
+def _whole_surface(surface: Any) -> list[_Part]:
     grid = _nurbs(surface)
-    return [tensor_nets(grid.rectangle(grid.domain))]
+    return [(tensor_nets(grid.rectangle(grid.domain)), None)]
 
 
 def _edge(edge: Any) -> np.ndarray:
@@ -160,33 +177,46 @@ def _edge(edge: Any) -> np.ndarray:
     return curve_to_bezier(net, _knots(curve.Knots), curve.Order - 1)
 
 
-def _brep_face(brep: Any, face: Any) -> list[np.ndarray] | str:
+def _brep_face(brep: Any, face: Any, trims: bool) -> list[_Part] | str:
     surface = _nurbs(face.UnderlyingSurface())
     turned = face.OrientationIsReversed
     loops: list[list[tuple[np.ndarray, int]]] = []
     for loop in face.Loops:
-        trims = [loop.Trims[k] for k in range(loop.TrimCount)]
-        part = []
-        for trim in trims:
+        edges = []
+        for trim in (loop.Trims[k] for k in range(loop.TrimCount)):
             if trim.EdgeIndex < 0:
                 continue  # a pole: no length in space
             pieces = list(_edge(brep.Edges[trim.EdgeIndex]))
             if trim.IsReversed:
                 pieces = [piece[::-1] for piece in pieces[::-1]]
-            part += [(piece, trim.EdgeIndex) for piece in pieces]
-        loops.append(part)
+            edges += [(piece, trim.EdgeIndex) for piece in pieces]
+        loops.append(edges)
     if (surface.patches[..., 3] <= 0).any():
         return "a surface with weights that are not positive"
     plane = _plane_frame(surface)
+    nets: list[np.ndarray] | str = "trimmed by curves"
     if plane is not None:
         nets = _plane_face(plane, loops)
-    else:
-        nets = _trimmed_face(surface, loops)
-    if isinstance(nets, str) or not turned:
+    if isinstance(nets, str):
+        extent = surface.domain[:, 1] - surface.domain[:, 0]
+        # trims cost little: they follow the edge a hundred times closer
+        boundary = _boundary(surface, loops, 1e-7 if trims else 1e-5)
+        if isinstance(boundary, str):
+            return boundary
+        curved = rectilinear([[c[:, :2] / c[:, 2:] for c in boundary]], 1e-7 * extent) is None
+        closed = closed_boundary(boundary, surface.domain) if trims and curved else "no trims"
+        if not isinstance(closed, str):
+            part = trimmed_grid(surface, closed, turned=turned)
+            return part if isinstance(part, str) else [part]
+        nets = trimmed_patches(surface, boundary)
+    if isinstance(nets, str):
         return nets
-    return [
-        net[:, bernstein.permutation(bernstein.degree_of(net.shape[1]), (0, 2, 1))] for net in nets
-    ]
+    if turned:
+        nets = [
+            net[:, bernstein.permutation(bernstein.degree_of(net.shape[1]), (0, 2, 1))]
+            for net in nets
+        ]
+    return [(net, None) for net in nets]
 
 
 def _plane_frame(surface: PatchGrid) -> np.ndarray | None:
@@ -223,10 +253,10 @@ def _plane_face(
     return found if isinstance(found, str) else [(net @ frame)[None] for net in found]
 
 
-def _trimmed_face(
-    surface: PatchGrid, loops: list[list[tuple[np.ndarray, int]]]
+def _boundary(
+    surface: PatchGrid, loops: list[list[tuple[np.ndarray, int]]], accuracy: float
 ) -> list[np.ndarray] | str:
-    """Pull the edges back to (u, v) and restrict the surface to them."""
+    """Pull the edges back to (u, v); return them as parabolas, or why they cannot be."""
     extent = surface.domain[:, 1] - surface.domain[:, 0]
     _p, du, dv = surface.jet((surface.domain @ [0.63, 0.37])[None])
     scale = np.array([np.linalg.norm(du), np.linalg.norm(dv)])
@@ -263,10 +293,9 @@ def _trimmed_face(
             def place(t: np.ndarray, piece: np.ndarray = piece) -> np.ndarray:
                 return surface.pull_back(piece, t)
 
-            fitted = fit_parabolas(place, scale, 1e-5 * surface.size)
+            fitted = fit_parabolas(place, scale, accuracy * surface.size)
             if fitted is None:
                 return "trimmed by a curve that parabolas cannot follow"
             curves += fitted
         boundary += join_ends([standard(c) for c in curves], 1e-7 * float(extent.max()))
-    boundary = [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()]
-    return trimmed_patches(surface, boundary)
+    return [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()]

@@ -1,5 +1,8 @@
-"""Surfaces trimmed by curves: exact restriction to curved triangles of the parameter plane.
+"""Surfaces trimmed by curves: patches with trims, or exact restriction to curved triangles.
 
+With trims (`trimmed_grid`), the patches stay as they are and every hit is tested against the
+trimming curves: both are exact, and the degree stays low. What cannot test a hit needs nets that
+are the face itself (`trimmed_patches`):
 The trimmed region is cut along the knots, each part is filled with curved plane triangles
 (`plane_regions`), and a patch ``S`` of bidegree (p, q) after a plane triangle ``T`` of degree n
 is again a rational Bézier triangle, of degree ``n (p + q)``. So the surface is exact, and its
@@ -15,13 +18,22 @@ from math import comb
 import numpy as np
 
 from ..geometry import bernstein
+from ..geometry.trim_cells import trim_cells
+from ..geometry.trims import Trims, square_map
 from .nurbs import bezier_matrices
 from .nurbs_surface import PatchGrid
-from .plane_regions import chain, region_to_triangles
+from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .tensor_nets import tensor_nets
 from .trims import rectangles, rectilinear
 
-__all__ = ["compose", "cut", "fit_parabolas", "trimmed_patches"]
+__all__ = [
+    "closed_boundary",
+    "compose",
+    "cut",
+    "fit_parabolas",
+    "trimmed_grid",
+    "trimmed_patches",
+]
 
 
 @cache
@@ -332,6 +344,81 @@ def trimmed_patches(grid: PatchGrid, curves: list[np.ndarray]) -> list[np.ndarra
             return found
         out += [compose(grid.patches[i, j], domain, triangle)[None] for triangle in found]
     return out or "nothing is left inside of its trims"
+
+
+def closed_boundary(curves: list[np.ndarray], box: np.ndarray) -> list[np.ndarray] | str:
+    """Return boundary curves that are closed to the last bit, or the reason why they are not.
+
+    Parameters
+    ----------
+    curves : list of (k+1, 3) arrays
+        Homogeneous Bézier curves of positive weights, in any order.
+    box : (2, 2) array
+        ``[[u0, u1], [v0, v1]]`` around them: gaps are measured against it.
+    """
+    low, size = box[:, 0], np.maximum(box[:, 1] - box[:, 0], 1e-300)
+    local = []
+    for curve in curves:
+        c = standard(curve)
+        c[:, :2] = (c[:, :2] - low * c[:, 2:]) / size
+        if np.ptp(c[:, :2] / c[:, 2:], axis=0).any():
+            local.append(c)
+    # files leave gaps of 1e-3 and, where a face is very thin, more; a straight piece closes them
+    loops = chain(local, 1e-3) or chain(local, 1e-2) or chain(local, 0.05)
+    if loops is None:
+        return "its boundary is not closed"
+    out = [c for loop in loops for c in join_ends(loop, 1e-6)]
+    for c in out:
+        c[:, :2] = c[:, :2] * size + low * c[:, 2:]
+    return out
+
+
+def trimmed_grid(
+    grid: PatchGrid,
+    curves: list[np.ndarray],
+    angular: tuple[bool, bool] = (False, False),
+    turned: bool = False,
+) -> tuple[np.ndarray, Trims] | str:
+    """Return the patches of a surface that trimming curves leave, with their trims.
+
+    Parameters
+    ----------
+    grid : PatchGrid
+        The surface.
+    curves : list of (k+1, 3) arrays
+        The boundary in the parameters of the surface, closed to the last bit.
+    angular : (bool, bool)
+        Whether u and v are the angles of the grid's arcs.
+    turned : bool
+        Whether to turn the surface round.
+
+    Returns
+    -------
+    pair of (P, K, 4) array and Trims, or str
+        Nets of degree p + q; or the reason why there are none.
+    """
+    width, height = len(grid.u) - 1, len(grid.v) - 1
+    nets = tensor_nets(grid.patches.reshape(-1, *grid.patches.shape[2:]))
+    i, j = (x.repeat(2) for x in np.divmod(np.arange(width * height), height))
+    low = np.stack([grid.u[i], grid.v[j]], axis=1)
+    size = np.stack([grid.u[i + 1], grid.v[j + 1]], axis=1) - low
+    maps = [square_map(False, turned), square_map(True, turned)]
+    trims = Trims(
+        [curves],
+        np.zeros(len(nets), dtype=int),
+        np.tile(maps, (len(nets) // 2, 1, 1)),
+        np.stack([low, size], axis=1),
+        np.where(angular, size, 0.0),
+    )
+    corners = np.tile([[[1.0, 0], [0, 1], [0, 0]]], (len(nets), 1, 1))
+    _cells, cell, keep = trim_cells(trims, np.arange(len(nets)), corners)
+    if not keep.any():
+        return "nothing is left inside of its trims"
+    trims.region[cell < 0] = -1
+    if turned:
+        n = bernstein.degree_of(nets.shape[1])
+        nets = nets[:, bernstein.permutation(n, (0, 2, 1))]
+    return nets[keep], trims[keep]
 
 
 def _cell_triangles(boundary: list[np.ndarray], domain: np.ndarray) -> list[np.ndarray] | str:

@@ -5,6 +5,10 @@ The points of a cell are Euclidean; their weights are a point array that must be
 that way, so nets that the two do not hold exactly are written a second time, as the 4-component
 point array `HOMOGENEOUS` of ``(w x, w y, w z, w)``, which the reader here prefers.
 
+Trims (see `geometry.trims`) are arrays of our own, which VTK keeps but does not know:
+``TrimRegion`` and ``TrimMap`` for the cells, ``TrimCurves`` and ``TrimPoints`` as field data;
+`trim_arrays` says what they hold.
+
 Corners 0, 1, 2 of VTK are our corners ``(n,0,0)``, ``(0,n,0)``, ``(0,0,n)``, so VTK's parametric
 coordinates are ``(r, s) = (v, w)`` and the orientation is the same.
 
@@ -19,17 +23,38 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import GeometryError
 from ..geometry import bernstein
+from ..geometry.trims import Trims
 from .cells import Cells, add_cells, add_surface
 from .files import damaged
 from .lattices import quad_lattice, tetra_lattice, triangle_lattice
 from .report import Collector, Model
+from .trim_arrays import unpacked_trims
 from .vtk_xml import Element, VtkXml
 
-__all__ = ["HOMOGENEOUS", "read"]
+__all__ = ["HOMOGENEOUS", "TRIM_ARRAYS", "read"]
 
 #: Name of the point array of homogeneous control points.
 HOMOGENEOUS = "HomogeneousPoints"
+
+
+class TrimArray(NamedTuple):
+    """How an array of `packed_trims` is stored."""
+
+    name: str
+    components: int
+    kind: str
+    field: bool  #: field data, not cell data
+
+
+#: The arrays of trims.
+TRIM_ARRAYS = {
+    "region": TrimArray("TrimRegion", 1, "integer", False),
+    "map": TrimArray("TrimMap", 12, "number", False),
+    "curves": TrimArray("TrimCurves", 2, "integer", True),
+    "points": TrimArray("TrimPoints", 3, "number", True),
+}
 
 #: Highest degree that is read; VTK itself stops at 10 for most cells.
 MAX_DEGREE = 40
@@ -47,6 +72,9 @@ _READ = {
     71: ("tetra", False),
     78: ("tetra", True),
 }
+
+#: The cells that can be trimmed.
+_TRIMMED = 76
 
 #: Names of VTK's cell types.
 _CELL_NAMES = {
@@ -91,7 +119,7 @@ _CELL_NAMES = {
 }
 
 
-def read(path: str | PathLike[str]) -> Model:
+def read(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a ``.vtu`` file.
 
     Bézier triangles are taken as they are. Bézier quadrilaterals, Lagrange and quadratic
@@ -100,6 +128,13 @@ def read(path: str | PathLike[str]) -> Model:
     which make a plain mesh that Mitsuba renders itself.
 
     A `RationalWeights` array that is not flagged is not used, as in VTK, and noted in the report.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    trims : bool
+        Whether patches may have trims; if not, trimmed patches are returned whole, with a note.
 
     Raises
     ------
@@ -117,8 +152,11 @@ def read(path: str | PathLike[str]) -> Model:
         )
     collector = Collector(path, "vtu")
     first = 0
+    field_data = grid.first("FieldData")
     for piece in grid.all("Piece"):
-        first = _read_piece(xml, piece, collector, first)
+        first = _read_piece(xml, piece, collector, first, field_data if trims else None)
+    if not trims and _named(field_data, "points") is not None:
+        collector.report.notes.append("trims are not used: patches are returned whole")
     return collector.model(
         lambda: damaged(path, "Bézier triangles (cells of type 76)", "none in this file")
     )
@@ -138,7 +176,44 @@ def _cell_array(xml: VtkXml, cells: Element, name: str) -> Element:
     raise damaged(xml.path, f"a DataArray {name!r} in <Cells>", "none", line=cells.line)
 
 
-def _read_piece(xml: VtkXml, piece: Element, collector: Collector, first: int) -> int:
+def _named(data: Element | None, key: str) -> Element | None:
+    """Return an array of trims."""
+    for element in data.all("DataArray") if data is not None else ():
+        if element.attributes.get("Name") == TRIM_ARRAYS[key].name:
+            return element
+    return None
+
+
+def _piece_trims(
+    xml: VtkXml, piece: Element, count: int, field_data: Element | None
+) -> Trims | None:
+    """Return the trims of the cells of a piece, None if they are whole."""
+    cell_data = piece.first("CellData")
+    arrays: dict[str, np.ndarray] = {}
+    for key, own in TRIM_ARRAYS.items():
+        element = _named(field_data if own.field else cell_data, key)
+        if element is None:
+            return None
+        components = element.attributes.get("NumberOfComponents", "1")
+        if components != str(own.components):
+            raise damaged(
+                xml.path,
+                f"{own.components} components in {own.name!r}",
+                components,
+                line=element.line,
+            )
+        length = xml.count(element, "NumberOfTuples") if own.field else count
+        values = xml.array(element, own.components * length, own.kind)
+        arrays[key] = values if own.components == 1 else values.reshape(length, -1)
+    try:
+        return unpacked_trims(arrays)
+    except GeometryError as error:
+        raise damaged(xml.path, "trims that fit together", f"others ({error})") from None
+
+
+def _read_piece(
+    xml: VtkXml, piece: Element, collector: Collector, first: int, field_data: Element | None
+) -> int:
     """Convert the cells of a piece; `first` is the number of its first cell.
 
     Returns
@@ -170,6 +245,7 @@ def _read_piece(xml: VtkXml, piece: Element, collector: Collector, first: int) -
     homogeneous = _points(xml, piece, points_count, collector)
     plain = np.concatenate([homogeneous.points, np.ones((points_count, 1))], axis=1)
     degrees = _degrees(xml, piece, cells_count)
+    trims = _piece_trims(xml, piece, cells_count, field_data)
     keys = np.column_stack([types, sizes, degrees])
     surfaces: list[Cells] = []
     volumes: list[Cells] = []
@@ -200,7 +276,9 @@ def _read_piece(xml: VtkXml, piece: Element, collector: Collector, first: int) -
             volumes.append(part)
         else:
             surfaces.append(part)
-            add_cells(collector, part, homogeneous.net if is_bezier else plain, first + group)
+            net = homogeneous.net if is_bezier else plain
+            own = trims[group] if trims is not None and number == _TRIMMED else None
+            add_cells(collector, part, net, first + group, own)
     for is_bezier in (False, True):
         some = [v for v in volumes if v.bezier == is_bezier]
         net = homogeneous.net if is_bezier else plain

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Sequence
 from functools import cache
 from os import PathLike
 
@@ -12,9 +13,11 @@ import numpy as np
 from ..errors import FileFormatError
 from ..geometry import bernstein
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trims import Trims
 from .files import write_bytes
 from .lattices import triangle_lattice
-from .vtu import HOMOGENEOUS
+from .trim_arrays import packed_trims
+from .vtu import HOMOGENEOUS, TRIM_ARRAYS
 
 __all__ = ["point_order", "write"]
 
@@ -38,6 +41,7 @@ def write(
     triangles: BezierTriangles | list[BezierTriangles],
     path: str | PathLike[str],
     encoding: str = "appended",
+    trims: Trims | Sequence[Trims | None] | None = None,
 ) -> None:
     """Write Bézier triangles as a ``.vtu`` file that VTK and ParaView show.
 
@@ -50,11 +54,15 @@ def write(
     encoding : str
         ``"appended"`` (raw, zlib), ``"binary"`` (base64, zlib) or ``"ascii"``.
         Each is lossless.
+    trims : Trims, or list of (Trims or None), optional
+        The trims of the patches, for each item of a list of `triangles`. They are kept in arrays
+        of our own (see `vtu`): other programs show the patches whole.
 
     Raises
     ------
     FileFormatError
-        If the encoding is unknown or the file cannot be written.
+        If the encoding is unknown, trims are not those of the patches, or the file cannot be
+        written.
     """
     if encoding not in ("appended", "binary", "ascii"):
         raise FileFormatError.expected(
@@ -63,6 +71,7 @@ def write(
     groups = [triangles] if isinstance(triangles, BezierTriangles) else list(triangles)
     if not groups:
         raise FileFormatError.expected("triangles", "at least one BezierTriangles", "none")
+    every = _trims(groups, trims)
     nets = [g.control_points[:, point_order(g.degree)] for g in groups]
     homogeneous = np.concatenate([net.reshape(-1, 4) for net in nets])
     sizes = np.concatenate([np.full(len(net), net.shape[1]) for net in nets])
@@ -80,11 +89,24 @@ def write(
         weights, homogeneous[:, 3]
     ):
         point_data.append(out.array(HOMOGENEOUS, homogeneous, "Float64"))
+    cell_data: list[str] = []
+    field_data: list[str] = []
+    if every is not None:
+        for key, values in packed_trims(every).items():
+            own = TRIM_ARRAYS[key]
+            kind = "Float64" if values.dtype == np.float64 else "Int64"
+            (field_data if own.field else cell_data).append(
+                out.array(own.name, values, kind, tuples=own.field)
+            )
+        field_data = ["<FieldData>", *field_data, "</FieldData>"]
+        cell_data = ["<CellData>", *cell_data, "</CellData>"]
     body = [
+        *field_data,
         f'<Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(sizes)}">',
         f"<PointData{flag}>",
         *point_data,
         "</PointData>",
+        *cell_data,
         "<Points>",
         out.array("Points", points, "Float64"),
         "</Points>",
@@ -96,6 +118,20 @@ def write(
         "</Piece>",
     ]
     write_bytes(path, out.document(body))
+
+
+def _trims(
+    groups: list[BezierTriangles], trims: Trims | Sequence[Trims | None] | None
+) -> Trims | None:
+    """Return the trims of all patches, None if there are none."""
+    parts = [trims] if trims is None or isinstance(trims, Trims) else list(trims)
+    if all(part is None for part in parts):
+        return None
+    counts = [len(g) for g in groups]
+    found = [len(t) if t is not None else n for t, n in zip(parts, counts)]
+    if found != counts or len(parts) != len(groups):
+        raise FileFormatError.expected("trims", f"those of {counts} patches", f"{found}")
+    return Trims.join([Trims.none(n) if t is None else t for t, n in zip(parts, counts)])
 
 
 def _euclidean(nets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -129,8 +165,10 @@ class _Writer:
         self._appended: list[bytes] = []
         self._size = 0
 
-    def array(self, name: str, values: np.ndarray, typename: str) -> str:
+    def array(self, name: str, values: np.ndarray, typename: str, tuples: bool = False) -> str:
         components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
+        if tuples:  # field data does not belong to points or cells, whose number is known
+            components += f' NumberOfTuples="{len(values)}"'
         head = f'<DataArray type="{typename}" Name="{name}"{components} format="{self._encoding}"'
         if self._encoding == "ascii":
             rows = values if values.ndim == 2 else values[:, None]

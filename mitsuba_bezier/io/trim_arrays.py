@@ -1,0 +1,65 @@
+"""Trims as a few plain arrays, for files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import GeometryError
+from ..geometry.trims import Trims
+
+__all__ = ["packed_trims", "unpacked_trims"]
+
+
+def packed_trims(trims: Trims) -> dict[str, np.ndarray]:
+    """Return trims as arrays.
+
+    Returns
+    -------
+    dict
+        ``region`` (P,) integers, -1 for whole patches; ``map`` (P, 12): M, place and arc of
+        `Trims`, row by row; ``curves`` (S, 2) integers: region and number of points of each curve;
+        ``points`` (N, 3): their homogeneous points.
+    """
+    count = len(trims)
+    used = np.unique(trims.region[trims.region >= 0])
+    number = np.full(len(trims.regions) + 1, -1)
+    number[used] = np.arange(len(used))
+    curves = [(k, c) for k, r in enumerate(used.tolist()) for c in trims.regions[r]]
+    parts = [trims.square.reshape(count, 6), trims.place.reshape(count, 4), trims.arc]
+    return {
+        "region": number[trims.region],
+        "map": np.concatenate(parts, axis=1),
+        "curves": np.array([(k, len(c)) for k, c in curves], dtype=np.int64).reshape(-1, 2),
+        "points": np.concatenate([c for _k, c in curves] or [np.zeros((0, 3))]),
+    }
+
+
+def unpacked_trims(arrays: dict[str, np.ndarray]) -> Trims:
+    """Return the trims of the arrays of `packed_trims`.
+
+    Raises
+    ------
+    GeometryError
+        If the arrays do not fit each other, or what `Trims` objects to.
+    """
+    curves, points, maps = arrays["curves"], arrays["points"], arrays["map"]
+    region = arrays["region"]
+    sizes = curves[:, 1] if len(curves) else np.zeros(0, dtype=np.int64)
+    if (sizes < 2).any() or int(sizes.sum()) != len(points) or maps.shape != (len(region), 12):
+        raise GeometryError.expected(
+            "trims", f"curves with {len(points)} points in all", f"{int(sizes.sum())}"
+        )
+    count = int(region.max(initial=-1)) + 1
+    if len(curves) and (curves[:, 0].min() < 0 or count > len(curves)):
+        raise GeometryError.expected("trims", "regions with curves", f"{count} regions")
+    regions: list[list[np.ndarray]] = [[] for _ in range(min(count, len(curves)))]
+    for (number, size), stop in zip(curves.tolist(), np.cumsum(sizes).tolist()):
+        if number < len(regions):
+            regions[number].append(points[stop - size : stop])
+    return Trims(
+        regions,
+        region,
+        maps[:, :6].reshape(-1, 2, 3),
+        maps[:, 6:10].reshape(-1, 2, 2),
+        maps[:, 10:],
+    )
