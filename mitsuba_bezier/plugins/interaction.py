@@ -18,6 +18,10 @@ __all__ = ["PatchTables", "Preliminary", "surface_interaction"]
 _FLAT = 1e-10
 #: Step towards the centroid, far enough for float32 to see an angle, near enough to be the limit.
 _STEP = 1e-3
+#: Ratio of the lengths of dp_du and dp_dv, squared, where second partials lose most digits, and
+#: the step from there.
+_THIN = 1e-5
+_FAR = 5e-3
 
 
 @dataclass
@@ -80,27 +84,38 @@ class PatchTables:
         """Return the partials of the unit normal by the parameters.
 
         With ``N = p_u x p_v`` they are the parts across ``N`` of its partials over ``|N|``.
-        Where the patch is collapsed they are those of a point nearby inside.
+        Where the patch is nearly collapsed, rounding leaves nothing of them. There the linear map
+        from ``p_u, p_v`` to them, which is continuous, is that of a point nearby inside.
         """
         _p, pu, pv = self.partials(patch, u, v, active)
-        flat = _is_flat(dr.cross(pu, pv), pu, pv)
+        least = dr.minimum(dr.squared_norm(pu), dr.squared_norm(pv))
+        most = dr.maximum(dr.squared_norm(pu), dr.squared_norm(pv))
+        singular = _is_flat(dr.cross(pu, pv), pu, pv) | ~(least > _THIN * most)
         h = evaluate_second(
             self.nets,
             self.degree,
             patch,
-            dr.select(flat, u + _STEP * (1 / 3 - u), u),
-            dr.select(flat, v + _STEP * (1 / 3 - v), v),
+            dr.select(singular, u + _FAR * (1 / 3 - u), u),
+            dr.select(singular, v + _FAR * (1 / 3 - v), v),
             active,
         )
-        pu, pv, puu, puv, pvv = (mi.Vector3f(*x) for x in affine_second_partials(h)[1:])
-        n = dr.cross(pu, pv)
+        a, b, aa, ab, bb = (mi.Vector3f(*x) for x in affine_second_partials(h)[1:])
+        n = dr.cross(a, b)
         inv = dr.rsqrt(dr.squared_norm(n))
         inv = dr.select(dr.isfinite(inv), inv, 0.0)
         n *= inv
-        inv = inv * self.sign(patch, active)
-        nu = (dr.cross(puu, pv) + dr.cross(pu, puv)) * inv
-        nv = (dr.cross(puv, pv) + dr.cross(pu, pvv)) * inv
-        return nu - n * dr.dot(n, nu), nv - n * dr.dot(n, nv)
+        na = (dr.cross(aa, b) + dr.cross(a, ab)) * inv
+        nb = (dr.cross(ab, b) + dr.cross(a, bb)) * inv
+        na, nb = na - n * dr.dot(n, na), nb - n * dr.dot(n, nb)
+
+        def mapped(x: Any) -> Any:
+            # x = (x, b, n) / (a, b, n) a + (a, x, n) / (a, b, n) b in the tangent plane
+            return (na * dr.dot(dr.cross(x, b), n) + nb * dr.dot(dr.cross(a, x), n)) * inv
+
+        sign = self.sign(patch, active)
+        nu = dr.select(singular, mapped(pu), na)
+        nv = dr.select(singular, mapped(pv), nb)
+        return nu * sign, nv * sign
 
     def point_and_normal(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point, the unit normal and ``|dp_du x dp_dv|`` at parameters of a patch."""
