@@ -11,6 +11,9 @@ import pytest
 from mitsuba_cases import ball_rays, bezier, numbers, ray_of
 
 import mitsuba_bezier as mb
+from mitsuba_bezier.kernels.arrays import upload
+from mitsuba_bezier.kernels.curvature import affine_second_partials, evaluate_second
+from mitsuba_bezier.kernels.patch import pack
 
 POINTS = [[1, 0, 0], [0.8, 0.9, 0.5], [0.4, 0, 0.6], [0, 2, 0.3], [0.1, 0.7, 0.3], [0, 0, 0]]
 WEIGHTS = np.array([1, 1, 1, 3, 0.4, 0.7])[:, None]
@@ -194,6 +197,22 @@ def test_texture_coordinates_on_a_line_give_some_frame():
     for field in (si.dp_du, si.dp_dv, si.sh_frame.s, si.dn_du, si.wi):
         assert np.isfinite(numbers(field)[valid]).all()
     assert np.abs(np.linalg.norm(numbers(si.dp_du), axis=1) - 1)[valid].max() < 1e-5
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+def test_second_partials_of_the_kernel(degree):
+    rng = np.random.default_rng(degree)
+    net = rng.normal(size=(3, (degree + 1) * (degree + 2) // 2, 4))
+    net[..., 3] = rng.uniform(0.5, 2, net.shape[:2])
+    patches = mb.BezierTriangles(net)
+    patch, w = rng.integers(0, 3, 500), rng.dirichlet([1, 1, 1], 500)
+    buffer = upload(mi.Float64, pack(net))
+    u, v = mi.Float64(w[:, 0].copy()), mi.Float64(w[:, 1].copy())
+    got = affine_second_partials(evaluate_second(buffer, degree, mi.UInt32(patch), u, v))
+    for a, b in zip(got, patches.differential(patch, w[:, :2])):
+        # some hundred roundings of float64
+        values = np.array([np.array(x) for x in a]).T
+        assert np.abs(values - b).max() < 1e-12 * max(np.abs(b).max(), 1)
 
 
 # ---------------------------------------------------------------- ray differentials
