@@ -189,6 +189,15 @@ def test_collapsed_corners_and_edges_have_finite_fields():
         assert np.abs(numbers(si.n) - numbers(si.p)).max() < 2e-3
 
 
+@pytest.mark.parametrize("dp_du", [[0, 0, 0], [0, 0, 1e-9], [0, 1e-30, 0], [1e-7, 0, 1]])
+def test_a_frame_where_the_partial_has_no_direction(dp_du):
+    from mitsuba_bezier.plugins.interaction import _shading_frame
+
+    frame = _shading_frame(mi.Normal3f(0, 0, 1), mi.Vector3f(*dp_du))
+    axes = np.array([np.array(x).ravel() for x in (frame.s, frame.t, frame.n)])
+    assert np.abs(axes @ axes.T - np.eye(3)).max() < 1e-6
+
+
 def test_texture_coordinates_on_a_line_give_some_frame():
     corners = np.array([[[0, 0], [0.5, 0.5], [1, 1]]], dtype=np.float32)
     shape = mi.load_dict(bezier(uneven_patch(), texcoords=mi.TensorXf(corners)))
