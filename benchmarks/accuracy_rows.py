@@ -157,12 +157,14 @@ def _at_patches(rng: Rng, patches: BezierTriangles, count: int, noise: float = 0
     return toward(4 * unit(rng.normal(size=(count, 3))), target)
 
 
-def random_triangles(rng: Rng, scale: float) -> Iterator[Line]:
+def random_triangles(
+    rng: Rng, scale: float, degrees: tuple[int, ...] = (2, 3, 4, 5, 6, 7, 8)
+) -> Iterator[Line]:
     """Random rational triangles of degree 2 to 8, weights 0.3 to 3, against the reference."""
     count = scaled(100_000, scale)
     # the build of a leaf structure, not the rays, bounds how many nets a small run can take
     nets = 2 if scale < 0.03 else 8
-    for n in range(2, 9):
+    for n in degrees:
         parts = []
         for _ in range(nets if n < 7 else max(nets // 4, 1)):
             patches = BezierTriangles([_wavy(rng, n)])
@@ -275,7 +277,9 @@ def _first(hits: analytic.AnalyticHits, o: np.ndarray, d: np.ndarray):
     return t, cosine, judged
 
 
-def infinity(rng: Rng, scale: float) -> Iterator[Line]:
+def infinity(
+    rng: Rng, scale: float, paths: tuple[str, ...] = ("closed", "general", "signs")
+) -> Iterator[Line]:
     """Quarter plane, paraboloid, hyperboloids with ideal corners, weights of both signs."""
     count = scaled(1_000_000, scale)
     turn = rng.random(count) * 2 * np.pi
@@ -288,7 +292,9 @@ def infinity(rng: Rng, scale: float) -> Iterator[Line]:
         [np.abs(z)[:, None] * ring, (np.sign(z) * np.sqrt(1 + z * z))[:, None]], axis=1
     )
     one_sheet, two_sheets = np.diag([1.0, 1, -1, -1]), np.diag([1.0, 1, -1, 1])
-    for path, settings in (("", None), (", general", GENERAL)):
+    for choice, path, settings in (("closed", "", None), ("general", ", general", GENERAL)):
+        if choice not in paths:
+            continue
         yield _quarter_plane(rng, count, settings, "quarter plane" + path)
         for name, matrix, patches, far in (
             ("paraboloid", BOWL, quadric_cover(BOWL), bowl),
@@ -296,10 +302,11 @@ def infinity(rng: Rng, scale: float) -> Iterator[Line]:
             ("hyperboloid of two sheets", two_sheets, quadric_cover(two_sheets), two),
         ):
             yield _quadric(rng, count, matrix, patches, far, settings, name + path)
-    yield _quadric(
-        rng, count, BOWL, quadric_cover(BOWL, "octants"), bowl, None, "paraboloid, octants"
-    )
-    for n in (2, 3, 4):
+    if "general" in paths:
+        yield _quadric(
+            rng, count, BOWL, quadric_cover(BOWL, "octants"), bowl, None, "paraboloid, octants"
+        )
+    for n in (2, 3, 4) if "signs" in paths else ():
         parts = []
         for _ in range(4):
             patches = BezierTriangles([_wavy(rng, n, signs=True)])

@@ -52,6 +52,20 @@ def test_rays_that_leave_a_sphere_do_not_meet_it_again(suite):
         assert line.values["inside"] > 0.9
 
 
+def test_random_rational_triangles(suite):
+    lines(suite, "random", 0.002, (2, 4, 8))
+
+
+def test_teapot_torus_and_cone(suite):
+    lines(suite, "models", 0.001)
+
+
+def test_surfaces_to_infinity(suite):
+    for line in lines(suite, "infinity", 0.002, ("general",)):
+        # hits far out were judged, and they are most of the rays
+        assert line.values["reach"] > 1e5 and line.values["firm"] > 0.4
+
+
 def test_command_line(suite, capsys):
     assert suite.main(["odd", "--scale", "0.005", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

@@ -28,11 +28,17 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
     """
     n = bernstein.degree_of(nets.shape[1])
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
+    size = np.zeros(patch.max(initial=0) + 1)
+    size[patch] = _extent(BezierTriangles(nets).bounds())
+    size[~np.isfinite(size)] = 0.0  # no leaf is small against a patch that runs to infinity
     for depth in range(settings.max_depth + 1):
         leaves, good = _graph_leaves(nets, domain, patch, settings)
         yield leaves.select(good)
         singular = _singular_corner(nets)
-        last = ~good & (_below_float32(leaves.box, singular >= 0) | _over_budget(patch, good))
+        crowd = _waiting(patch, good)
+        last = _below_float32(leaves.box, singular >= 0) | (crowd > _BUDGET)
+        last |= (crowd > _CROWD) & (_extent(leaves.box) < _FINE * size[patch])
+        last &= ~good
         if depth == settings.max_depth:
             last = ~good
         if last.any():
@@ -72,6 +78,9 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
 #: Most leaves of one patch that may wait for a further cut. A patch whose parametrisation is
 #: singular along a curve has more at every level; it ends as planar triangles.
 _BUDGET = 20000
+#: With so many leaves waiting, those of this size of the patch are cut no further: where the
+#: surface is smooth, four planar triangles in place of one are off by 1e-7 of the patch.
+_CROWD, _FINE = 500, 1e-3
 #: Crumbs are drawn out by this, so that chords cover the arcs they replace.
 _OVERLAP = 1.03
 
@@ -109,13 +118,15 @@ def _below_float32(box: np.ndarray, singular: np.ndarray) -> np.ndarray:
         return size < np.where(singular, 3e-5, 3e-6) * np.abs(box).max(axis=(1, 2))
 
 
-def _over_budget(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """Tell which leaves belong to a patch with too many that are not good."""
-    values, index, count = np.unique(patch[~good], return_inverse=True, return_counts=True)
-    out = np.zeros(len(patch), dtype=bool)
-    if len(values):
-        out[~good] = count[index.reshape(-1)] > _BUDGET
-    return out
+def _extent(box: np.ndarray) -> np.ndarray:
+    """Return the longest edge of boxes ``(L, 2, 3)``; infinite ones have no size to speak of."""
+    with np.errstate(invalid="ignore"):
+        return (box[:, 1] - box[:, 0]).max(axis=1)
+
+
+def _waiting(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Return for each leaf how many of its patch are not good."""
+    return np.bincount(patch[~good], minlength=int(patch.max(initial=0)) + 1)[patch]
 
 
 def _crumbs(
@@ -123,14 +134,13 @@ def _crumbs(
 ) -> Leaves:
     """Return planar leaves in place of those that cannot be made good.
 
-    Each is cut into 16 planar triangles through its own points; where a patch went over its
+    Each is cut into four planar triangles through its own points; where a patch went over its
     budget they are what `docs/intersection.md` calls the unguaranteed case. A leaf with a
     singular `corner` is cut into 32 triangles around that corner, which is what a cone is: at
     3e-5 of the scene they are off by 1e-8 of it.
     """
     n = bernstein.degree_of(nets.shape[1])
-    four = np.einsum("aij,bjk->abik", bernstein.SPLIT_CORNERS, bernstein.SPLIT_CORNERS)
-    corners = four.reshape(-1, 3, 3)  # rows: barycentrics of the corners of each triangle
+    corners = bernstein.SPLIT_CORNERS  # rows: barycentrics of the corners of each triangle
     if corner >= 0:
         corners = _around(corner)
     points = np.einsum("trk,pkc->ptrc", bernstein.basis(n, corners[..., :2]), nets)
