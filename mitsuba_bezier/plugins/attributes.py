@@ -49,18 +49,17 @@ def check_attribute(name: str, values: Any, count: int) -> np.ndarray:
     if name.startswith("face_"):
         shapes = f"shape ({count},), ({count}, 1) or ({count}, 3), for {count} patches"
         good = array.ndim in (1, 2)
-        array = array.reshape(array.shape[0] if good else 0, 1, -1)
+        rows = (-1, 1, array.shape[1] if array.ndim == 2 else 1)
     else:
         shapes = (
             f"shape ({count}, K) or ({count}, K, C), for {count} patches, with K = (m+1)(m+2)/2 "
             "ordinates, m >= 1, and C = 1 or 3"
         )
-        good = array.ndim in (2, 3)
-        array = array.reshape(*array.shape[:2], -1) if good else np.zeros((0, 1, 1))
-        good = good and _degree(array.shape[1]) >= 1
-    if not good or len(array) != count or array.shape[2] not in (1, 3):
-        raise BezierError.expected(name, shapes, f"{np.shape(values)}")
-    return array
+        good = array.ndim in (2, 3) and _degree(array.shape[1]) >= 1
+        rows = (*array.shape[:2], *(array.shape[2:] or (1,)))
+    if not good or len(array) != count or rows[2] not in (1, 3):
+        raise BezierError.expected(name, shapes, f"{array.shape}")
+    return array.reshape(rows)
 
 
 def check_texcoords(values: Any, count: int) -> np.ndarray:
@@ -72,15 +71,15 @@ def check_texcoords(values: Any, count: int) -> np.ndarray:
         raise BezierError.expected(
             "texcoords",
             f"shape ({count}, 3, 2): uv at the corners A, B, C of {count} patches",
-            f"{np.shape(values)}",
+            f"{array.shape}",
         )
     return array
 
 
 def _numbers(name: str, values: Any) -> np.ndarray:
-    array = np.array(values, dtype=np.float64)
-    if hasattr(values, "shape"):  # a tensor of Dr.Jit
-        array = array.reshape(tuple(values.shape))
+    if not hasattr(values, "shape"):
+        raise BezierError.expected(name, "a tensor", repr(values))
+    array = np.array(values, dtype=np.float64).reshape(tuple(values.shape))
     if not np.isfinite(array).all():
         place = tuple(int(x) for x in np.argwhere(~np.isfinite(array))[0])
         raise BezierError.expected(name, "finite numbers", f"{array[place]} at {place}")

@@ -90,6 +90,13 @@ def make_shape_class() -> type:
             self._plain_mesh = True
             super().__init__(props)
             self._plain_mesh = False
+            emitter = self.emitter()
+            if emitter is not None and not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
+                raise BezierError.expected(
+                    "emitter",
+                    "one that sits on a surface, as area does",
+                    f"{emitter.class_name()}; put it beside the shape",
+                )
             self._flip = flip
             self.control_points = _tensor(patches.control_points)
             self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
@@ -187,14 +194,15 @@ def make_shape_class() -> type:
                 self._commit(patches, matrix)
 
         def _restore(self) -> None:
-            """Give all parameters their last valid values."""
-            self.control_points = _tensor(self._object.control_points)
-            self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
+            """Give all parameters their last valid values, in the objects that users hold."""
+            matrix = mi.Matrix4f(self._object_to_world.tolist())
+            mi.set_property(self.control_points, _tensor(self._object.control_points))
+            mi.set_property(self.to_world, mi.Transform4f(matrix))
             if self.texture_corners is not None:
-                self.texcoords = _tensor(self.texture_corners)
-            for name, (_values, texture) in self._attributes.items():
+                mi.set_property(self.texcoords, _tensor(self.texture_corners))
+            for values, texture in self._attributes.values():
                 texture.place_by(self.texture_corners)
-                self._attributes[name] = (_tensor(texture.public), texture)
+                mi.set_property(values, _tensor(texture.public))
 
         def to_string(self) -> str:
             return (
@@ -345,8 +353,8 @@ def _read_tables(
     texcoords = check_texcoords(props["texcoords"], count) if "texcoords" in props else None
     attributes = {}
     for key in list(props.keys()):
-        # of other types are Mitsuba's "face_normals" and textures
-        if is_attribute(key) and hasattr(props[key], "shape"):
+        # "face_normals" is a parameter of Mitsuba's meshes, and textures are for any shape
+        if is_attribute(key) and key != "face_normals" and not isinstance(props[key], mi.Texture):
             attributes[key] = check_attribute(key, props[key], count)
             del props[key]
     return texcoords, attributes
