@@ -125,13 +125,16 @@ def make_shape_class() -> type:
         def _set_box(self, box: np.ndarray) -> None:
             """Give the mesh base class the corners of the box, so that the scene's is right.
 
-            All faces are degenerate: Embree and OptiX never hit them.
+            All faces are degenerate: Embree and OptiX never hit them. Texture coordinates are set
+            since without them a textured emitter is an error as soon as Dr.Jit records a call of
+            any emitter, even one that is masked.
             """
             corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
             self._plain_mesh = True
             try:
                 params = mi.traverse(self)
                 params["vertex_positions"] = mi.Float(corners.ravel().astype(np.float32))
+                params["vertex_texcoords"] = mi.Float([0.0] * 16)
                 params["faces"] = mi.UInt32([0, 0, 0])
                 params.update()
             finally:
