@@ -16,11 +16,14 @@ _classes: dict[tuple[str, str], type] = {}
 def _maker(name: str) -> Any:
     from .bezierpath import make_path_class
     from .beziervolpath import make_volpath_class
+    from .projective import make_direct_projective_class, make_prb_projective_class
     from .shape import make_shape_class
 
     return {
         "beziertriangle": make_shape_class,
         "bezierpath": make_path_class,
+        "bezier_direct_projective": make_direct_projective_class,
+        "bezier_prb_projective": make_prb_projective_class,
         "beziervolpath": make_volpath_class,
     }[name]
 
@@ -44,6 +47,12 @@ def _on_variant(_old: str | None, new: str | None) -> None:
     mi.register_shape("beziertriangle", lambda props: _instantiate("beziertriangle", props))
     mi.register_integrator("bezierpath", lambda props: _instantiate("bezierpath", props))
     mi.register_integrator("beziervolpath", lambda props: _instantiate("beziervolpath", props))
+    mi.register_integrator(
+        "bezier_prb_projective", lambda props: _instantiate("bezier_prb_projective", props)
+    )
+    mi.register_integrator(
+        "bezier_direct_projective", lambda props: _instantiate("bezier_direct_projective", props)
+    )
 
 
 _registered = False

@@ -11,9 +11,10 @@ import mitsuba as mi
 from .. import _runtime
 from ..errors import BezierError
 from .emitters import EmitterSampling
+from .interaction import Preliminary
 from .scene import SceneRays
 
-__all__ = ["make_path_class", "mis_weight", "skip_emitters"]
+__all__ = ["make_path_class", "mis_weight", "skip_emitters", "trace"]
 
 
 def make_path_class() -> type:
@@ -59,6 +60,8 @@ def make_path_class() -> type:
                 if not isinstance(value, int) or isinstance(value, bool) or value < least:
                     raise BezierError.expected(key, words, repr(value))
             super().__init__(props)
+            #: Whether a derivative without any contribution within surfaces is no mistake
+            self.interior_may_be_constant = False
 
         def sample(
             self,
@@ -73,7 +76,7 @@ def make_path_class() -> type:
         ) -> tuple:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
             if mode == dr.ADMode.Primal:
-                L, valid = _trace(self, scene, sampler, ray, active)
+                L, valid = trace(self, scene, sampler, ray, active)
                 return L, valid, [], L
             from .path_replay import replay
 
@@ -118,8 +121,29 @@ def skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
     return ray
 
 
-def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, Any]:
-    """Trace one path a lane; return its radiance and whether it met anything."""
+def trace(
+    integrator: Any,
+    scene: Any,
+    sampler: Any,
+    ray: Any,
+    active: Any,
+    start: Preliminary | None = None,
+    vertices: int = 0,
+) -> tuple[Any, Any]:
+    """Trace one path a lane; return its radiance and whether it met anything.
+
+    Parameters
+    ----------
+    integrator : BezierPath
+    scene : mi.Scene
+    sampler : mi.Sampler
+    ray : mi.Ray3f
+    active : Bool
+    start : Preliminary, optional
+        What the rays hit, if that is known.
+    vertices : int
+        Number of vertices before those of `ray`.
+    """
     rays = SceneRays(scene)
     emitters = EmitterSampling(rays)
     context = mi.BSDFContext()
@@ -138,7 +162,7 @@ def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> 
         "throughput": mi.Spectrum(1.0),
         "result": mi.Spectrum(0.0),
         "eta": mi.Float(1.0),
-        "depth": mi.UInt32(0),
+        "depth": mi.UInt32(vertices),
         "valid": mi.Bool(False),
         "active": active,
         "prev_si": dr.zeros(mi.Interaction3f),
@@ -150,7 +174,11 @@ def _trace(integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> 
     def body(st: dict) -> tuple[dict]:
         st = dict(st)
         ray, sampler, active = st["ray"], st["sampler"], st["active"]
-        hit = rays.preliminary(ray, False, active)
+        if start is None:
+            hit = rays.preliminary(ray, False, active)
+        else:
+            first = st["depth"] == vertices
+            hit = dr.select(first, start, rays.preliminary(ray, False, active & ~first))
         si = rays.surface_interaction(hit, ray, mi.RayFlags.All, active)
 
         # ---- emission met by the BSDF's sample

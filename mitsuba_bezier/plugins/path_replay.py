@@ -188,13 +188,15 @@ def _replay(
             reflected = dr.select(active_next, rest * _relative(value) * _relative(solid), 0.0)
             total = emitted + direct + reflected
             derivative = st["derivative"]
-            if not dr.grad_enabled(total):
+            if not dr.grad_enabled(total) and not integrator.interior_may_be_constant:
                 raise BezierError.expected(
                     "bezierpath",
                     "a parameter that the image depends on",
                     "none with derivatives enabled",
                 )
-            if mode == dr.ADMode.Backward:
+            if not dr.grad_enabled(total):
+                pass
+            elif mode == dr.ADMode.Backward:
                 dr.backward_from(derivative * total)
             else:
                 derivative = derivative + dr.forward_to(total)

@@ -1,0 +1,202 @@
+"""Points on silhouettes of Bézier shapes: contours, open edges and creases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..kernels.arrays import upload
+from ..kernels.curvature import affine_second_partials, evaluate_second
+from .contours import Segments, contour_segments, edge_segments
+
+__all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "outward"]
+
+#: Newton steps to the contour: from a chord over a cell three give float32.
+_STEPS = 4
+
+
+@dataclass
+class SilhouettePoint:
+    """A point of a silhouette."""
+
+    patch: Any  #: UInt, number among the patches of the structure
+    u: Any
+    v: Any
+    p: Any  #: Point3f
+    tangent: Any  #: Vector3f, by the parameter of the segment
+    n: Any  #: Vector3f, unit, across the curve and the direction of view, away from the surface
+    is_edge: Any  #: Bool
+    valid: Any  #: Bool
+
+
+class Discrete:
+    """A discrete distribution whose kernels do not depend on its size up to a power of two."""
+
+    def __init__(self, weights: np.ndarray) -> None:
+        total = weights.sum()
+        self.total = float(total)
+        size = 1 << max(0, int(np.ceil(np.log2(max(len(weights), 1)))))
+        probability = np.zeros(size)
+        if total > 0:
+            probability[: len(weights)] = weights / total
+        cdf = np.minimum(np.cumsum(probability), 1.0)
+        self.bits = size.bit_length() - 1
+        self.cdf = upload(mi.Float, cdf)
+        self.pmf = upload(mi.Float, probability)
+
+    def sample(self, x: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return index, a number uniform again, and the probability of the index."""
+        index = mi.UInt32(0)
+        for bit in reversed(range(self.bits)):
+            middle = index + ((1 << bit) - 1)
+            index = dr.select(dr.gather(mi.Float, self.cdf, middle, active) <= x, middle + 1, index)
+        lower = dr.gather(mi.Float, self.cdf, index - 1, active & (index > 0))
+        pmf = dr.gather(mi.Float, self.pmf, index, active)
+        again = dr.clip((x - lower) / pmf, 0.0, dr.one_minus_epsilon(mi.Float))
+        return index, dr.select(pmf > 0, again, 0.0), pmf
+
+
+def outward(h: list[list[Any]], d: Any) -> tuple[Any, Any]:
+    """Return the normal towards the background of a silhouette, and the normal curvature.
+
+    Along a tangent the surface bends to one side of its tangent plane; the background is seen
+    on the other.
+
+    Parameters
+    ----------
+    h : list
+        Point and partials, as `kernels.curvature.evaluate_second` returns them.
+    d : Vector3f
+        Unit direction in the tangent plane.
+
+    Returns
+    -------
+    n : Vector3f
+        Unit normal.
+    curvature : Float
+        The size of the normal curvature in the direction `d`.
+    """
+    _p, pu, pv, puu, puv, pvv = (mi.Vector3f(*x) for x in affine_second_partials(h))
+    n = dr.cross(pu, pv)
+    n *= dr.rsqrt(dr.squared_norm(n))
+    e, f, g = dr.dot(pu, pu), dr.dot(pu, pv), dr.dot(pv, pv)
+    inverse = dr.rcp(e * g - f * f)
+    x, y = dr.dot(d, pu), dr.dot(d, pv)
+    a, b = (g * x - f * y) * inverse, (e * y - f * x) * inverse
+    bend = puu * (a * a) + puv * (2 * a * b) + pvv * (b * b)
+    curvature = dr.dot(bend, n)
+    return dr.select(curvature > 0, -n, n), dr.abs(curvature)
+
+
+class SilhouetteCurves:
+    """The curves on which some shapes of a structure hide or show what is behind them.
+
+    Parameters
+    ----------
+    data : SceneData
+    numbers : list of int
+        Which of its shapes.
+    eye : (3,) array or None
+        The point of view; without one there are only edges.
+    """
+
+    def __init__(self, data: Any, numbers: list[int], eye: np.ndarray | None) -> None:
+        self.data = data
+        self.eye = None if eye is None else mi.Point3f(*(dr.opaque(mi.Float, x) for x in eye))
+        firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
+        parts = []
+        for number in numbers:
+            patches = data.shapes[number].patches
+            found = [edge_segments(patches)]
+            if eye is not None:
+                found.append(contour_segments(patches, eye))
+            for part in found:
+                part.patch = part.patch + firsts[number]
+                parts.append(part)
+        self.segments = Segments.join(parts)
+        self.shape_of = np.searchsorted(firsts, self.segments.patch, side="right") - 1
+        self.firsts = firsts
+        rows = np.concatenate([self.segments.a, self.segments.b], axis=1)
+        self.rows = upload(mi.Float, rows if len(rows) else np.zeros((1, 4)))
+        whose = self.segments.patch if len(rows) else np.zeros(1)
+        flag = self.segments.is_edge if len(rows) else np.zeros(1)
+        self.patch = upload(mi.UInt32, whose.astype(np.uint32))
+        self.edge = upload(mi.UInt32, flag.astype(np.uint32))
+
+    def __len__(self) -> int:
+        return len(self.segments)
+
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends of the segments in space, ``(N, 3)`` each."""
+        out = np.zeros((2, len(self), 3))
+        for number in np.unique(self.shape_of):
+            mine = self.shape_of == number
+            patch = self.segments.patch[mine] - self.firsts[number]
+            patches = self.data.shapes[number].patches
+            out[0, mine] = patches.points(patch, self.segments.a[mine])
+            out[1, mine] = patches.points(patch, self.segments.b[mine])
+        return out[0], out[1]
+
+    def point(self, index: Any, s: Any, active: Any) -> SilhouettePoint:
+        """Return the point at parameter `s`, from 0 to 1, of a segment."""
+        tables = self.data.tables
+        row = [dr.gather(mi.Float, self.rows, 4 * index + k, active) for k in range(4)]
+        patch = dr.gather(mi.UInt32, self.patch, index, active)
+        is_edge = dr.gather(mi.UInt32, self.edge, index, active) == 1
+        a, chord = mi.Point2f(row[0], row[1]), mi.Vector2f(row[2] - row[0], row[3] - row[1])
+        across = mi.Vector2f(-chord.y, chord.x)
+        foot = a + s * chord
+        if self.eye is None:
+            h = evaluate_second(tables.nets, tables.degree, patch, foot.x, foot.y, active)
+            eye, q, dq = mi.Point3f(0.0), foot, chord
+        else:
+            eye = self.eye
+
+            def newton(k: Any, height: Any) -> tuple:
+                q = foot + height * across
+                h = evaluate_second(tables.nets, tables.degree, patch, q.x, q.y, active)
+                f, fu, fv = _facing(h, eye)
+                slope = fu * across.x + fv * across.y
+                step = dr.select(is_edge | (slope == 0), 0.0, f / slope)
+                return k + 1, dr.clip(height - step, -1.0, 1.0)
+
+            _k, height = dr.while_loop(
+                (mi.UInt32(0), dr.zeros(mi.Float, dr.width(s))),
+                cond=lambda k, height: k < _STEPS,
+                body=newton,
+                label="bezier silhouette",
+            )
+            q = foot + height * across
+            h = evaluate_second(tables.nets, tables.degree, patch, q.x, q.y, active)
+            _f, fu, fv = _facing(h, eye)
+            along = fu * chord.x + fv * chord.y
+            slope = fu * across.x + fv * across.y
+            dq = chord - dr.select(is_edge | (slope == 0), 0.0, along / slope) * across
+        p, pu, pv = tables.partials(patch, q.x, q.y, active)
+        tangent = pu * dq.x + pv * dq.y
+        d = dr.normalize(p - eye)
+        n, _curvature = outward(h, d)
+        n = dr.select(is_edge, self.edge_normal(d, tangent, pu, pv, q), n)
+        valid = active & dr.isfinite(dr.squared_norm(n)) & dr.isfinite(dr.squared_norm(tangent))
+        return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid)
+
+    @staticmethod
+    def edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:
+        """Return the unit normal of an edge and the direction `d`, away from the patch."""
+        n = dr.normalize(dr.cross(d, tangent))
+        inside = pu * (1 / 3 - q.x) + pv * (1 / 3 - q.y)
+        return dr.select(dr.dot(n, inside) > 0, -n, n)
+
+
+def _facing(h: list[list[Any]], eye: Any) -> tuple[Any, Any, Any]:
+    """Return ``det(X, X_u, X_v, eye)`` and its partials by the parameters."""
+    y, yu, yv, yuu, yuv, yvv = (mi.Vector3f(*x[:3]) - x[3] * eye for x in h)
+    return (
+        dr.dot(y, dr.cross(yu, yv)),
+        dr.dot(y, dr.cross(yuu, yv) + dr.cross(yu, yuv)),
+        dr.dot(y, dr.cross(yuv, yv) + dr.cross(yu, yvv)),
+    )
