@@ -2,10 +2,10 @@
 
     python renders/gallery.py              everything (about half an hour on two cores)
     python renders/gallery.py NAME ...     some pictures, and the index
-    python renders/gallery.py --index      the index page alone
+    python renders/gallery.py --index      index.html and README.md alone
 
-Each picture is a PNG to look at and a small EXR, half float, as reference; the header of the EXR
-holds the command that made it.
+Each picture is a PNG to look at and a small EXR, half float, as reference for `mitsuba-bezier
+compare`; the header of the EXR holds the command that made it.
 """
 
 from __future__ import annotations
@@ -46,18 +46,20 @@ class Picture:
         return self.command(f"{self.name}.exr", self.width, self.height, self.spp)
 
     def reference(self) -> list[str]:
-        """Return the command of the EXR, 256 pixels wide or as many pixels in all."""
-        width = 256 if 2 * self.height >= self.width else 320
-        height = round(width * self.height / self.width / 2) * 2
-        return self.command(f"renders/{self.name}.exr", width, height, 128)
+        """Return the command of the EXR, at most 256 pixels in either direction."""
+        scale = 256 / max(self.width, self.height)
+        width, height = round(self.width * scale), round(self.height * scale)
+        return self.command(f"renders/{self.name}.exr", width, height, 256)
 
 
 PICTURES = (
-    Picture(
-        "quadrics", "quadrics", 576, 324, 1024, "All quadrics and a torus, exact, on one floor"
-    ),
-    Picture("sphere", "sphere", 480, 320, 1024, "Both covers of the sphere, in glass and in metal"),
-    Picture("cornell", "cornell", 320, 320, 2048, "Glass ball and torus in a Cornell box"),
+    Picture("teapot", "teapot", 512, 320, 512, "The Utah teapot from its 32 bicubic patches"),
+    Picture("teaset", "teaset", 512, 320, 512, "Newell's whole tea set: pot, cup, saucer, spoon"),
+    Picture("quadrics", "quadrics", 576, 324, 512, "All quadrics and a torus, on one floor"),
+    Picture("sphere", "sphere", 480, 320, 512, "Both covers of the sphere, in glass and in metal"),
+    Picture("cornell", "cornell", 320, 320, 1024, "Glass ball and torus in a Cornell box"),
+    # models of other programs: a CAD part, a mesh of high order
+    # the lecture
     Picture("railroad", "railroad", 512, 288, 128, "A plane to the horizon; rails to infinity"),
     Picture("duerer", "duerer", 512, 288, 128, "Dürer's machine: threads through a frame"),
     Picture("duerer_eye", "duerer", 512, 288, 128, "The same from the eye point", ("-s", "1")),
@@ -65,8 +67,8 @@ PICTURES = (
     Picture("paraboloids", "paraboloids", 512, 288, 128, "Quadrics as images of one paraboloid"),
     Picture("weights", "weights", 640, 240, 128, "One weight from large through zero to negative"),
     Picture("developable", "developable", 512, 288, 128, "A developable and its regression curve"),
-    Picture("decasteljau", "decasteljau", 512, 288, 128, "De Casteljau's scheme of a cubic"),
-    Picture("farin", "farin", 512, 288, 128, "Farin points: evaluation by cross ratios"),
+    Picture("decasteljau", "decasteljau", 512, 288, 64, "De Casteljau's scheme of a cubic"),
+    Picture("farin", "farin", 512, 288, 64, "Farin points: evaluation by cross ratios"),
     Picture("relief", "relief", 512, 288, 128, "Relief perspective of a lute"),
 )
 
@@ -87,12 +89,40 @@ def make(picture: Picture) -> None:
         shutil.move(Path(folder) / f"{picture.name}.png", HERE / f"{picture.name}.png")
 
 
+def there() -> list[Picture]:
+    """Return the pictures that have been made."""
+    return [p for p in PICTURES if (HERE / f"{p.name}.png").exists()]
+
+
+def readme() -> str:
+    """Return the same as Markdown."""
+    parts = [_README]
+    for p in there():
+        words = shlex.join(p.preview())
+        parts.append(
+            f"## {p.name}\n\n![{p.caption}]({p.name}.png)\n\n{p.caption}; "
+            f"[EXR]({p.name}.exr)\n\n    mitsuba-bezier {words}\n"
+        )
+    return "\n".join(parts)
+
+
+_README = """# Pictures from exact patches
+
+`python renders/gallery.py` makes all of this, as does the command below each picture for that one,
+in the root of the repository. Each picture is a PNG and a smaller OpenEXR file in half floats, a
+reference for `mitsuba-bezier compare`; its header holds its own command, the samples, the time and
+the versions. Seeds are 0. The models come from the `make_*.py` scripts in [scenes](../scenes).
+
+[index.html](index.html) shows the same as thumbnails, [verification.html](verification.html) the
+intersections against formulas; both are to be opened from a checkout. The pictures of the lecture
+are explained in [lecture.md](lecture.md).
+"""
+
+
 def index() -> str:
     """Return the index page: thumbnails, captions, commands."""
     items = []
-    for p in PICTURES:
-        if not (HERE / f"{p.name}.png").exists():
-            continue
+    for p in there():
         words = html.escape("mitsuba-bezier " + shlex.join(p.preview()))
         items.append(
             f'<figure><a href="{p.name}.png"><img src="{p.name}.png" alt="{html.escape(p.caption)}"'
@@ -129,7 +159,7 @@ def main() -> None:
     """Make what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="pictures to make; all by default")
-    parser.add_argument("--index", action="store_true", help="write the index page only")
+    parser.add_argument("--index", action="store_true", help="write index.html and README.md only")
     args = parser.parse_args()
     known = {p.name: p for p in PICTURES}
     unknown = [n for n in args.names if n not in known]
@@ -140,8 +170,9 @@ def main() -> None:
             make(known[name])
         if not args.names:
             words = ["--resolution", "1024", "--html", "renders/verification.html"]
-            mitsuba_bezier("verify", *words, "--html-size", "128")
+            mitsuba_bezier("verify", *words, "--html-size", "192")
     (HERE / "index.html").write_text(index(), encoding="utf-8")
+    (HERE / "README.md").write_text(readme(), encoding="utf-8")
 
 
 if __name__ == "__main__":
