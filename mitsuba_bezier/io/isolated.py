@@ -28,8 +28,9 @@ from .trim_arrays import packed_trims, unpacked_trims
 
 __all__ = ["read_isolated"]
 
-#: Longest time to read a file, in seconds.
-TIME_LIMIT = 1800
+#: Longest time to read a file, in seconds: this, and a second more for each 10 kB. Damaged files
+#: can keep a library busy for ever; sound ones took a tenth of that.
+TIME_LIMIT = 60
 
 _MEMORY = 16 << 30  # address space beyond 100 times the size of the file, in bytes
 
@@ -52,6 +53,7 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
         As the reader itself, or if its process died or took longer than `TIME_LIMIT`.
     """
     size = len(read_bytes(path))  # a missing file is told at once
+    limit = int(TIME_LIMIT + size / 10_000)
     with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
         out = Path(folder) / "model.npz"
         command = [sys.executable, "-c", f"import {__name__} as i; i.work()"]
@@ -64,11 +66,11 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
-                timeout=TIME_LIMIT,
+                timeout=limit,
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            raise damaged(path, f"a file that can be read in {TIME_LIMIT} s", "none") from None
+            raise damaged(path, f"a file that can be read in {limit} s", "none") from None
         if out.exists():
             return _unpack(out)
     text = done.stderr.decode(errors="replace").strip().splitlines()
