@@ -181,8 +181,8 @@ def _cull(
     ):
         # f0 + tau f1 >= -bound, on the line: a half-line; all or nothing where f1 = 0
         cut = (-bound - f0) / f1
-        lo = dr.select(f1 > 0.0, dr.maximum(lo, cut), lo)
-        hi = dr.select(f1 < 0.0, dr.minimum(hi, cut), hi)
+        lo = dr.select((f1 > 0.0) & (cut > lo), cut, lo)
+        hi = dr.select((f1 < 0.0) & (cut < hi), cut, hi)
         hi = dr.select((f1 == 0.0) & (f0 < -bound), -dr.inf, hi)
     alpha = x0[2] - dr.fma(a * x0[0], x0[1], dr.fma(b * x0[0], w0, c * x0[1] * w0))
     mixed = dr.fma(

@@ -15,7 +15,7 @@ from .arrays import types_of, upload
 
 __all__ = ["Structure", "build_structure"]
 
-#: Floats in a tree node: lower corner, upper corner, skip, leaf (the last two as bits).
+#: Floats in a tree node: near faces, far faces, skip, leaf (the last two as bits).
 NODE = 8
 #: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, two bounds packed.
 AFFINE = 16
@@ -107,8 +107,11 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
     bounds, skip, leaf = build_tree(_padded(boxes))
     n_nodes = skip.shape[1]
     nodes = np.zeros((8, n_nodes, NODE), dtype=np.float32)
-    nodes[..., 0:3] = bounds[:, :, 0]
-    nodes[..., 3:6] = bounds[:, :, 1]
+    for octant in range(8):  # near and far faces, as the octant's directions meet them
+        for a in range(3):
+            turned = (octant >> a) & 1
+            nodes[octant, :, a] = bounds[octant, :, turned, a]
+            nodes[octant, :, 3 + a] = bounds[octant, :, 1 - turned, a]
     base = np.arange(8, dtype=np.uint32)[:, None] * np.uint32(n_nodes)
     nodes[..., 6] = (skip + base).astype(np.uint32).view(np.float32)
     nodes[..., 7] = leaf.view(np.float32)

@@ -15,8 +15,10 @@ from .structure import DOMAIN, NODE, Structure
 __all__ = ["Hit", "intersect"]
 
 #: Slabs are widened by four roundings a face: of the difference, the product and, two, of the
-#: reciprocal (Ize, "Robust BVH Ray Traversal", 2013, who has three).
-_GROW = 1.0 + 8.0 * 6e-8
+#: reciprocal (Ize, "Robust BVH Ray Traversal", 2013, who has three). The origin's coordinates
+#: are moved apart by as much, as they are multiplied before the difference.
+_ROUNDING = 4.0 * 6e-8
+_GROW = 1.0 + 2.0 * _ROUNDING
 
 
 class Hit(NamedTuple):
@@ -27,6 +29,14 @@ class Hit(NamedTuple):
     patch: Any  #: UInt
     u: Any  #: Float, patch barycentrics
     v: Any
+
+
+class Slabs(NamedTuple):
+    """What a slab test needs of a ray: ``plane * rcp + near`` is the entry, and the exit alike."""
+
+    rcp: list[Any]  #: reciprocals of the direction, finite
+    near: list[Any]  #: ``-o rcp``, a little less
+    far: list[Any]  #: ``-o rcp``, a little more
 
 
 def intersect(
@@ -61,11 +71,16 @@ def intersect(
     )
     # finite reciprocals: zero times infinity would turn a slab into NaN
     tiny = ty.Float(1e-20)
-    rcp = [dr.rcp(dr.select(dr.abs(c) > tiny, c, dr.copysign(tiny, c))) for c in d]
+    rcp = [dr.rcp(dr.select(dr.abs(c) > tiny, c, dr.select(c < 0.0, -tiny, tiny))) for c in d]
+    slabs = Slabs(
+        rcp,
+        [-dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, o[a] * rcp[a]) for a in range(3)],
+        [dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, -o[a] * rcp[a]) for a in range(3)],
+    )
     end = (octant + 1) * s.node_count
 
     def body(run, node, t, leaf, u, v):
-        node, index, line = _next_candidate(s, ty, node, end, o, d, rcp, t, run)
+        node, index, line = _next_candidate(s, ty, node, end, o, d, slabs, t, run)
         found = run & (index != NO_LEAF)
         if s.has_groups and (s.has_affine or s.has_projective):
             accept, t_new, u_new, v_new, leaf_new = dr.if_stmt(
@@ -111,7 +126,7 @@ def intersect(
 
 
 def _next_candidate(
-    s: Structure, ty: Types, node: Any, end: Any, o: Any, d: Any, rcp: Any, t_max: Any, run: Any
+    s: Structure, ty: Types, node: Any, end: Any, o: Any, d: Any, slabs: Slabs, t_max: Any, run: Any
 ) -> tuple[Any, Any, ChartLine]:
     """Walk the tree to the next leaf that its quadratic does not exclude.
 
@@ -119,11 +134,11 @@ def _next_candidate(
     wait for the others here and all march together.
     """
     if not (s.has_affine or s.has_projective):
-        node, leaf = _next_leaf(s, ty, node, end, o, rcp, t_max, run)
+        node, leaf = _next_leaf(s, ty, node, end, slabs, t_max, run)
         return node, leaf, ChartLine.zero(ty)
 
     def body(walk, node, leaf, line):
-        node, leaf = _next_leaf(s, ty, node, end, o, rcp, t_max, walk)
+        node, leaf = _next_leaf(s, ty, node, end, slabs, t_max, walk)
         found = walk & (leaf != NO_LEAF)
         graph = found & (leaf < s.first_group) if s.has_groups else found
         candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
@@ -143,7 +158,7 @@ def _next_candidate(
 
 
 def _next_leaf(
-    s: Structure, ty: Types, node: Any, end: Any, o: Any, rcp: Any, t_max: Any, run: Any
+    s: Structure, ty: Types, node: Any, end: Any, slabs: Slabs, t_max: Any, run: Any
 ) -> tuple[Any, Any]:
     """Walk the tree to the next leaf whose box is hit; `NO_LEAF` when there is none."""
 
@@ -151,9 +166,11 @@ def _next_leaf(
         packet = gather_packets(s.nodes, node, NODE, walk)
         enter, leave = dr.zeros(ty.Float), t_max
         for a in range(3):
-            lo, hi = (packet[a] - o[a]) * rcp[a], (packet[3 + a] - o[a]) * rcp[a]
-            enter = dr.maximum(enter, dr.minimum(lo, hi))
-            leave = dr.minimum(leave, dr.maximum(lo, hi))
+            # one instruction each; those of dr.maximum and dr.minimum look out for NaN
+            near = dr.fma(packet[a], slabs.rcp[a], slabs.near[a])
+            far = dr.fma(packet[3 + a], slabs.rcp[a], slabs.far[a])
+            enter = dr.select(near > enter, near, enter)
+            leave = dr.select(far < leave, far, leave)
         hit = enter <= leave * _GROW
         skip = dr.reinterpret_array(ty.UInt, packet[6])
         found = dr.reinterpret_array(ty.UInt, packet[7])
