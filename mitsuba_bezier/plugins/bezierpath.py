@@ -128,7 +128,7 @@ def trace(
     ray: Any,
     active: Any,
     start: Preliminary | None = None,
-    vertices: int = 0,
+    vertices: Any = 0,
 ) -> tuple[Any, Any]:
     """Trace one path a lane; return its radiance and whether it met anything.
 
@@ -141,7 +141,7 @@ def trace(
     active : Bool
     start : Preliminary, optional
         What the rays hit, if that is known.
-    vertices : int
+    vertices : int or UInt32
         Number of vertices before those of `ray`.
     """
     rays = SceneRays(scene)
@@ -154,7 +154,7 @@ def trace(
     active = mi.Bool(active)
     if max_depth == 0:  # as `path`: black, not even what is seen directly
         return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray))
-    if hide:
+    if hide and start is None and isinstance(vertices, int):
         ray = skip_emitters(rays, ray, active)
 
     state = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..geometry.triangles import BezierTriangles
 
-__all__ = ["Segments", "contour_segments", "edge_segments"]
+__all__ = ["Segments", "contour_segments", "edge_segments", "open_edges"]
 
 #: Lattice points that all patches of a shape together are searched at, about.
 _POINTS = 40000
@@ -142,7 +142,7 @@ def edge_segments(patches: BezierTriangles, parts: int = 16) -> Segments:
     parts : int
         Into how many segments an edge is cut.
     """
-    chosen = _open_edges(patches)
+    chosen = open_edges(patches)
     steps = np.linspace(0, 1, parts + 1)
     patch = np.repeat(chosen // 3, parts)
     start, end = _EDGES[chosen % 3, 0], _EDGES[chosen % 3, 1]
@@ -153,8 +153,11 @@ def edge_segments(patches: BezierTriangles, parts: int = 16) -> Segments:
     return Segments(patch[good], a[good], b[good], np.ones(good.sum(), dtype=bool))
 
 
-def _open_edges(patches: BezierTriangles) -> np.ndarray:
-    """Return numbers ``3 * patch + edge`` of the edges that matter."""
+def open_edges(patches: BezierTriangles, creases: bool = True) -> np.ndarray:
+    """Return numbers ``3 * patch + edge`` of the edges without a neighbour, and of creases.
+
+    The edges of a patch are AB, BC, CA.
+    """
     count = len(patches)
     t = np.linspace(0, 1, 65)
     lines = _EDGES[:, None, 0] + t[None, :, None] * (_EDGES[:, None, 1] - _EDGES[:, None, 0])
@@ -169,9 +172,9 @@ def _open_edges(patches: BezierTriangles) -> np.ndarray:
 
     ends = np.rint(points[:, [0, -1]] / (4 * _TOGETHER * extent))
     bucket: dict[tuple, list[int]] = defaultdict(list)
-    for e in np.flatnonzero(usable):
-        first, last = (tuple(x) for x in ends[e])
-        bucket[min(first, last), max(first, last)].append(int(e))
+    for number in np.flatnonzero(usable):
+        first, last = (tuple(x) for x in ends[number])
+        bucket[min(first, last), max(first, last)].append(int(number))
     out = [int(e) for e in np.flatnonzero(~finite)]
     for edges in bucket.values():
         alone = set(edges)
@@ -179,7 +182,7 @@ def _open_edges(patches: BezierTriangles) -> np.ndarray:
             for f in edges[i + 1 :]:
                 if e in alone and f in alone and _same_curve(points[e], points[f], extent):
                     alone -= {e, f}
-                    if _is_crease(patches, e, f, points):
+                    if creases and _is_crease(patches, e, f, points):
                         out.append(e)
         out.extend(alone)
     return np.array(sorted(out), dtype=int)

@@ -15,7 +15,7 @@ from .interaction import Preliminary
 from .scene import SceneRays
 from .silhouette import Discrete, SilhouetteCurves
 
-__all__ = ["FilmMap", "primary_silhouette_image"]
+__all__ = ["FilmMap", "primary_silhouette_image", "surface_at"]
 
 #: How far to the side of a curve the background is looked up, in pixels: far above the rounding
 #: of film positions in float32, far below what an image shows.
@@ -150,6 +150,38 @@ def primary_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: Any
     return film.develop()
 
 
+def surface_at(
+    data: Any, point: Any, d: Any, distance: Any, ray: Any, active: Any
+) -> tuple[Any, Preliminary]:
+    """Return a ray in direction `d` that hits a contour from just above its tangent plane.
+
+    Parameters
+    ----------
+    data : SceneData
+    point : SilhouettePoint or BoundarySample
+    d : Vector3f
+    distance : Float
+        Where the ray begins before the point.
+    ray : mi.Ray3f
+        From which wavelengths and time are taken.
+    active : Bool
+
+    Returns
+    -------
+    ray, hit
+    """
+    out = mi.Ray3f(ray)
+    out.d = dr.select(point.is_edge, d, dr.normalize(d - _GRAZING * point.n))
+    out.o = point.p - distance * out.d
+    hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), mi.Bool(active), point.patch)
+    number = dr.gather(mi.UInt32, data.patch_shape, point.patch, active)
+    hit.pi.valid, hit.pi.t = mi.Bool(active), distance
+    hit.pi.prim_uv = mi.Point2f(point.u, point.v)
+    hit.pi.shape = dr.gather(mi.ShapePtr, data.pointers, number, active)
+    hit.pi.prim_index = point.patch - dr.gather(mi.UInt32, data.patch_first, point.patch, active)
+    return out, hit
+
+
 def _difference(
     integrator: Any,
     rays: SceneRays,
@@ -167,6 +199,10 @@ def _difference(
     aside = _ASIDE * dr.normalize(across)
     # where the curve is seen end-on, there is no side
     active = active & (dr.squared_norm(across) > 0)
+    if integrator.hide_emitters:
+        number = dr.gather(mi.UInt32, data.patch_shape, point.patch, active)
+        shape = dr.gather(mi.ShapePtr, data.pointers, number, active)
+        active = active & (shape.emitter() == None)  # noqa: E711
     outer, weight = camera.ray(sampler, position + aside, wavelength_sample)
     inner, _weight = camera.ray(sampler, position - aside, wavelength_sample)
 
@@ -178,17 +214,9 @@ def _difference(
     active = active & ~(dr.select(point.is_edge, second.pi.t, first.pi.t) < near)
 
     background, _valid = trace(integrator, rays.scene, sampler, outer, active, first)
-    # the contour itself, from a little above its tangent plane; an edge from inside
-    grazing = mi.Ray3f(outer)
     d = dr.normalize(point.p - outer.o)
-    grazing.d = dr.normalize(d - _GRAZING * point.n)
-    grazing.o = point.p - distance * grazing.d
-    start = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), mi.Bool(True), point.patch)
-    number = dr.gather(mi.UInt32, data.patch_shape, point.patch, active)
-    start.pi.valid, start.pi.t = active, distance
-    start.pi.prim_uv = mi.Point2f(point.u, point.v)
-    start.pi.shape = dr.gather(mi.ShapePtr, data.pointers, number, active)
-    start.pi.prim_index = point.patch - dr.gather(mi.UInt32, data.patch_first, point.patch, active)
+    grazing, start = surface_at(data, point, d, distance, outer, active)
+    # an edge from inside
     start = dr.select(point.is_edge, second, start)
     ray = dr.select(point.is_edge, inner, grazing)
     foreground, _valid = trace(integrator, rays.scene, sampler, ray, active, start)

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from ..errors import BezierError
 from .bezierpath import make_path_class
+from .indirect_silhouette import indirect_silhouette_image
 from .primary_silhouette import primary_silhouette_image
 
 __all__ = ["make_direct_projective_class", "make_prb_projective_class"]
@@ -30,19 +31,21 @@ def make_prb_projective_class() -> type:
          * - max_depth, rr_depth, hide_emitters
            - |int|, |int|, |bool|
            - As `bezierpath`.
-         * - sppc, sppp
+         * - sppc, sppp, sppi
            - |int|
-           - Samples per pixel for derivatives within surfaces, and of silhouettes and edges as
-             the camera sees them. Unless it is 0, the `spp` of the render call comes first;
-             without either, that of the sampler (Default: none).
+           - Samples per pixel for derivatives within surfaces, of silhouettes and edges as
+             the camera sees them, and as surfaces see them (shadows, reflections). Unless it is
+             0, the `spp` of the render call comes first; without either, that of the sampler
+             (Default: none).
 
-        Renders as `bezierpath`. Its derivatives have two parts: that of `bezierpath` itself, and
-        an integral along the silhouettes, open edges and creases of those `beziertriangle` shapes
-        whose parameters carry derivatives.
+        Renders as `bezierpath`. Its derivatives are those of `bezierpath` itself, and integrals
+        over the silhouettes, open edges and creases of those `beziertriangle` shapes whose
+        parameters carry derivatives. Shadows of lights without extent, and what is seen through
+        ideally specular surfaces, have no part in them.
         """
 
         def __init__(self, props: mi.Properties) -> None:
-            for key in ("sppc", "sppp"):
+            for key in ("sppc", "sppp", "sppi"):
                 value = props.get(key, None)
                 good = isinstance(value, int) and not isinstance(value, bool) and value >= 0
                 if value is not None and not good:
@@ -56,12 +59,16 @@ def make_prb_projective_class() -> type:
                 return 0
             return int(spp or own or sensor.sampler().sample_count())
 
-        def _silhouettes(self, scene: Any, sensor: Any, seed: Any, spp: int) -> Any:
-            """Return an image of zeros with the derivatives of the silhouettes, or None."""
-            count = self._samples(self._sppp, spp, sensor)
-            if count == 0:
-                return None
-            return primary_silhouette_image(self, scene, sensor, seed, count)
+        def _silhouettes(self, scene: Any, sensor: Any, seed: Any, spp: int) -> list[Any]:
+            """Return images that have the derivatives of the silhouettes."""
+            images = []
+            for own, image in (
+                (self._sppp, primary_silhouette_image),
+                (self._sppi, indirect_silhouette_image),
+            ):
+                count = self._samples(own, spp, sensor)
+                images.append(image(self, scene, sensor, seed, count) if count else None)
+            return [image for image in images if image is not None and dr.grad_enabled(image)]
 
         def render_forward(
             self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -72,9 +79,8 @@ def make_prb_projective_class() -> type:
             out = None
             if count:
                 out = super().render_forward(scene, params, sensor, seed, count)
-            image = self._silhouettes(scene, sensor, seed, spp)
-            if image is not None:
-                dr.forward_to(image)
+            for image in self._silhouettes(scene, sensor, seed, spp):
+                dr.forward_to(image, flags=dr.ADFlag.ClearNone)
                 out = dr.grad(image) if out is None else out + dr.grad(image)
             if out is None:
                 out = dr.zeros(mi.TensorXf, sensor.film().develop().shape)
@@ -94,8 +100,7 @@ def make_prb_projective_class() -> type:
             count = self._samples(self._sppc, spp, sensor)
             if count:
                 super().render_backward(scene, params, grad_in, sensor, seed, count)
-            image = self._silhouettes(scene, sensor, seed, spp)
-            if image is not None:
+            for image in self._silhouettes(scene, sensor, seed, spp):
                 dr.set_grad(image, grad_in)
                 dr.enqueue(dr.ADMode.Backward, image)
                 dr.traverse(dr.ADMode.Backward)
@@ -105,7 +110,7 @@ def make_prb_projective_class() -> type:
             return (
                 f"{type(self).__name__}[\n  max_depth = {self.max_depth},\n"
                 f"  rr_depth = {self.rr_depth},\n  hide_emitters = {self.hide_emitters},\n"
-                f"  sppc = {self._sppc},\n  sppp = {self._sppp}\n]"
+                f"  sppc = {self._sppc},\n  sppp = {self._sppp},\n  sppi = {self._sppi}\n]"
             )
 
     return BezierPRBProjective

@@ -13,7 +13,7 @@ from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials, evaluate_second
 from .contours import Segments, contour_segments, edge_segments
 
-__all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "outward"]
+__all__ = ["BoundarySample", "Discrete", "SilhouetteCurves", "SilhouettePoint", "outward"]
 
 #: Newton steps to the contour: from a chord over a cell three give float32.
 _STEPS = 4
@@ -31,6 +31,27 @@ class SilhouettePoint:
     n: Any  #: Vector3f, unit, across the curve and the direction of view, away from the surface
     is_edge: Any  #: Bool
     valid: Any  #: Bool
+
+
+@dataclass
+class BoundarySample:
+    """A line that touches a shape."""
+
+    # Dr.Jit selects between records only if they have defaults
+    patch: Any = None  #: UInt, number among the patches of the structure
+    u: Any = None
+    v: Any = None
+    p: Any = None  #: Point3f
+    d: Any = None  #: Vector3f, unit, along the line
+    n: Any = None  #: Vector3f, unit, across the line, away from the surface
+    density: Any = None  #: Float, the curvature in direction d, or the sine between d and edge
+    pdf: Any = None  #: Float, by area and angle, or by length and solid angle
+    is_edge: Any = None  #: Bool
+    valid: Any = None  #: Bool
+
+    DRJIT_STRUCT = dict.fromkeys(
+        ("patch", "u", "v", "p", "d", "n", "density", "pdf", "is_edge", "valid"), Any
+    )
 
 
 class Discrete:
@@ -180,16 +201,20 @@ class SilhouetteCurves:
         tangent = pu * dq.x + pv * dq.y
         d = dr.normalize(p - eye)
         n, _curvature = outward(h, d)
-        n = dr.select(is_edge, self.edge_normal(d, tangent, pu, pv, q), n)
+        n = dr.select(is_edge, _edge_normal(d, tangent, pu, pv, q), n)
         valid = active & dr.isfinite(dr.squared_norm(n)) & dr.isfinite(dr.squared_norm(tangent))
         return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid)
 
-    @staticmethod
-    def edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:
+    def edge_normal(self, d: Any, patch: Any, u: Any, v: Any, tangent: Any, active: Any) -> Any:
         """Return the unit normal of an edge and the direction `d`, away from the patch."""
-        n = dr.normalize(dr.cross(d, tangent))
-        inside = pu * (1 / 3 - q.x) + pv * (1 / 3 - q.y)
-        return dr.select(dr.dot(n, inside) > 0, -n, n)
+        _p, pu, pv = self.data.tables.partials(patch, u, v, active)
+        return _edge_normal(d, tangent, pu, pv, mi.Point2f(u, v))
+
+
+def _edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:
+    n = dr.normalize(dr.cross(d, tangent))
+    inside = pu * (1 / 3 - q.x) + pv * (1 / 3 - q.y)
+    return dr.select(dr.dot(n, inside) > 0, -n, n)
 
 
 def _facing(h: list[list[Any]], eye: Any) -> tuple[Any, Any, Any]:
