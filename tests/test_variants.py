@@ -39,8 +39,8 @@ def test_some_variant_of_each_kind_starts():
     assert kinds == {"rgb", "mono", "mono_polarized", "spectral", "spectral_polarized"}
 
 
-def scene(kind: str) -> Any:
-    """Return a glass ball, a diffuse ball of one colour, and a ball that shines.
+def scene(kind: str, fog: bool = False) -> Any:
+    """Return a glass ball, a diffuse ball of one colour or one of fog, and a ball that shines.
 
     The camera looks through a polarizer: light that the glass reflects is polarized, so where
     Mueller matrices count, each has to be turned into the right frame.
@@ -53,6 +53,16 @@ def scene(kind: str) -> Any:
         "to_world": mi.ScalarTransform4f().translate([0, 1, 6]).scale(3),
         "bsdf": {"type": "polarizer", "theta": {"type": "spectrum", "value": 30.0}},
     }
+    glass = {"bsdf": {"type": "dielectric"}}
+    right: dict[str, Any] = {"bsdf": red}
+    if fog:
+        medium = {
+            "type": "homogeneous",
+            "sigma_t": {"type": "rgb", "value": [0.9, 0.6, 0.3]},
+            "albedo": {"type": "rgb", "value": [0.9, 0.7, 0.4]},
+        }
+        glass["interior"] = {**medium, "albedo": 0.0}  # coloured glass
+        right = {"bsdf": {"type": "null"}, "interior": medium}
     return mi.load_dict(
         {
             "type": "scene",
@@ -60,8 +70,8 @@ def scene(kind: str) -> Any:
             "floor": floor(),
             "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}},
             "filter": filter_,
-            "glass": ball(kind, [-1.6, 0, 0.5], 1, bsdf={"type": "dielectric"}),
-            "red": ball(kind, [0.9, 0, 0], 1, bsdf=red),
+            "glass": ball(kind, [-1.6, 0, 0.5], 1, **glass),
+            "right": ball(kind, [0.9, 0, 0], 1, **right),
             "lamp": ball(kind, [-0.2, 2.2, 1.0], 0.5, emitter=light),
         }
     )
@@ -84,6 +94,15 @@ def test_bezierpath_agrees_with_path(variant):
     native = moments(scene("native"), mi.load_dict({"type": "path", "max_depth": 6}), SPP, 0)
     integrator = mi.load_dict({"type": "bezierpath", "max_depth": 6})
     check(native, moments(scene("tetrahedral"), integrator, SPP, 1000))
+
+
+def test_beziervolpath_agrees_with_volpath(variant):
+    native = mi.load_dict({"type": "volpath", "max_depth": 6})
+    ours = mi.load_dict({"type": "beziervolpath", "max_depth": 6})
+    check(
+        moments(scene("native", fog=True), native, SPP, 0),
+        moments(scene("tetrahedral", fog=True), ours, SPP, 1000),
+    )
 
 
 def test_rays_meet_the_same_point(variant):
