@@ -129,6 +129,11 @@ class Leaves:
             out[field.name] = np.concatenate(arrays)
         return Leaves(**out)
 
+    def corners(self) -> np.ndarray:
+        """Return the patch parameters ``(L, 3, 2)`` of the leaves' corners."""
+        barycentrics = self.domain / self.domain.sum(axis=1, keepdims=True)
+        return barycentrics[:, :2].transpose(0, 2, 1)
+
     def select(self, mask: np.ndarray) -> Leaves:
         """Return the leaves chosen by a mask or an index array."""
         return Leaves(**{f.name: getattr(self, f.name)[mask] for f in fields(Leaves)})

@@ -153,7 +153,8 @@ class _Pieces:
         turned = np.stack([t + sigma[:, None] * s, t - sigma[:, None] * s, w], axis=-1)
         head = [t0, t1, self.low, self.high, sigma]
         head += [t0 + sigma * s0, t0 - sigma * s0, t1 + sigma * s1, t1 - sigma * s1]
-        return np.concatenate([np.stack(head, axis=1), turned.reshape(len(s), 3 * s.shape[1])], axis=1)
+        rest = turned.reshape(len(s), 3 * s.shape[1])
+        return np.concatenate([np.stack(head, axis=1), rest], axis=1)
 
 
 def _placed(region: _Pieces, place: np.ndarray) -> _Pieces:

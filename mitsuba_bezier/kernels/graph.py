@@ -14,6 +14,7 @@ from .arrays import Types, dot3, gather_packets, types_of
 from .net import horner
 from .quadric import edge_tolerance
 from .structure import AFFINE, BOUND_UNIT, HEAD, PROJECTIVE, Structure
+from .trim import leaf_test
 
 __all__ = ["ChartLine", "cull", "march"]
 
@@ -252,7 +253,8 @@ def _march_affine(
     def parameter(tau: Any) -> Any:
         return ty.Float(line.t0 + ty.Float64(tau))
 
-    return _march(s.degree, data, x0, e, line, parameter, False, LAST_STEP, t_max, active)
+    kept = leaf_test(s, leaf)
+    return _march(s.degree, data, x0, e, line, parameter, False, LAST_STEP, kept, t_max, active)
 
 
 def _march_projective(
@@ -271,6 +273,7 @@ def _march_projective(
         lambda tau: ty.Float(to_t(tau)),
         both,
         LAST_STEP_PROJECTIVE,
+        leaf_test(s, leaf + s.first_projective),
         t_max,
         active,
     )
@@ -286,6 +289,7 @@ def _march(
     parameter: Any,
     all_roots: Any,
     last_step: float,
+    kept: Any,
     t_max: Any,
     active: Any,
 ) -> tuple[Any, Any, Any, Any]:
@@ -310,6 +314,8 @@ def _march(
         Whether a later root may have the smaller ray parameter.
     last_step : float
         Steps below this are the last.
+    kept : function or None
+        Tells which roots are not trimmed away.
     """
     ty = types_of(x0[0])
     variation, bending, net = data[0], data[1], data[HEAD:]
@@ -370,6 +376,8 @@ def _march(
         inside = dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance
         t = parameter(tau)
         accept = run & converged & inside & (t > 0.0) & (t < best)
+        if kept is not None:
+            accept = accept & kept(u, v, accept)
         hit = hit | accept
         best = dr.select(accept, t, best)
         best_u, best_v = dr.select(accept, u, best_u), dr.select(accept, v, best_v)

@@ -8,6 +8,7 @@ import drjit as dr
 
 from .arrays import Types, dot3, gather_packets
 from .structure import GROUP, MEMBER, Structure
+from .trim import leaf_test
 
 __all__ = ["edge_tolerance", "group_hit"]
 
@@ -98,11 +99,19 @@ def group_hit(
         lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
         return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
 
+    def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
+        point = [dr.fma(along, dd[i], p[i]) for i in range(3)]
+        return _barycentrics(s, ty, leaf, point, active)
+
     def body(run, k, hit1, hit2, leaf1, leaf2):
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
         in1 = want1 & ~hit1 & inside(m, p1)
         in2 = want2 & ~hit2 & inside(m, p2)
+        kept = leaf_test(s, leaf)
+        if kept is not None:
+            in1 = in1 & kept(*parameters(leaf, near, in1), in1)
+            in2 = in2 & kept(*parameters(leaf, far, in2), in2)
         hit1, hit2 = hit1 | in1, hit2 | in2
         leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
         k = k + 1
@@ -118,7 +127,7 @@ def group_hit(
     )
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
     along = dr.select(hit1, near, far)
-    u, v = _barycentrics(s, ty, leaf, [dr.fma(along, dd[i], p[i]) for i in range(3)], hit)
+    u, v = parameters(leaf, along, hit)
     u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
     return hit, dr.select(hit1, t1, t2), u, v, leaf
 

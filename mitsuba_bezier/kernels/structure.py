@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -12,6 +12,9 @@ from ..geometry import bernstein
 from ..geometry.leaves import DEVIATION, LEAST, Leaves
 from ..geometry.tree import build_tree
 from .arrays import types_of, upload
+
+if TYPE_CHECKING:
+    from .trim import TrimTable
 
 __all__ = ["Structure", "build_structure"]
 
@@ -27,7 +30,7 @@ HEAD = 8
 GROUP = 16
 #: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`.
 MEMBER = 16
-#: Floats in a domain record: leaf-to-patch map 9, patch number as bits.
+#: Floats in a domain record: leaf-to-patch map 9, then as bits the patch, and 1 + the trim cell.
 DOMAIN = 16
 
 #: Bounds are stored as ``code**2 * BOUND_UNIT`` in 16 bits, rounded up: from 1e-9 to 4.
@@ -60,6 +63,7 @@ class Structure:
     group_count: int
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
+    trim: TrimTable | None = None  #: only where some leaf has trims
 
     @property
     def has_affine(self) -> bool:
@@ -77,8 +81,18 @@ class Structure:
         return self.group_count > 0
 
 
-def build_structure(leaves: Leaves, like: Any) -> Structure:
-    """Pack `leaves` for the array types of `like` (a Dr.Jit float array or type)."""
+def build_structure(
+    leaves: Leaves, like: Any, trims: tuple[TrimTable, np.ndarray] | None = None
+) -> Structure:
+    """Pack `leaves` for the array types of `like` (a Dr.Jit float array or type).
+
+    Parameters
+    ----------
+    leaves : Leaves
+    like : Float
+    trims : pair of TrimTable and (L,) int array, optional
+        The cells of the leaves, -1 for those that need no test.
+    """
     ty = types_of(like)
     straight = (leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
     affine = np.flatnonzero(~leaves.exact & straight)
@@ -125,7 +139,7 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
         "groups": _groups(leaves, exact, group_first, group_size),
         "members": _members(leaves, exact, len(graph)),
         "rows": np.pad(leaves.frame[exact, :3].reshape(-1, 12), ((0, 0), (0, MEMBER - 12))),
-        "domain": _domain(leaves, order),
+        "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
     return Structure(
         **{
@@ -140,7 +154,8 @@ def build_structure(leaves: Leaves, like: Any) -> Structure:
         graph_count=len(graph),
         group_count=len(group_first),
         leaf_count=len(leaves),
-        bytes=sum(a.nbytes for a in arrays.values()),
+        bytes=sum(a.nbytes for a in arrays.values()) + (trims[0].bytes if trims else 0),
+        trim=None if trims is None else trims[0],
     )
 
 
@@ -215,10 +230,12 @@ def _half_size(box: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(half), half, 0.0)
 
 
-def _domain(leaves: Leaves, order: np.ndarray) -> np.ndarray:
+def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.ndarray:
     out = np.zeros((len(order), DOMAIN), dtype=np.float32)
     out[:, :9] = leaves.domain[order].reshape(-1, 9)
     out[:, 9] = leaves.patch[order].astype(np.uint32).view(np.float32)
+    if cells is not None:
+        out[:, 10] = (cells[order] + 1).astype(np.uint32).view(np.float32)
     return out
 
 

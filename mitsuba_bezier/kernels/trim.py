@@ -16,8 +16,9 @@ import numpy as np
 
 from ..geometry.trim_cells import CELL, HEAD, SLACK, TrimCells
 from .arrays import Types, gather_packets, types_of, upload
+from .structure import DOMAIN, Structure
 
-__all__ = ["TrimTable", "build_table", "keep"]
+__all__ = ["TrimTable", "build_table", "keep", "leaf_test"]
 
 #: Halvings of a piece; its chord then stands for what is left, 2^-12 of it, and leaves it by a
 #: quarter of that squared at most.
@@ -100,6 +101,29 @@ def keep(table: TrimTable, cell: Any, u: Any, v: Any, active: Any = True) -> Any
         label="bezier trims",
     )
     return inside | near
+
+
+def leaf_test(s: Structure, leaf: Any) -> Any:
+    """Return the function that tells which hits in leaves are on the surface, None without trims.
+
+    It takes leaf barycentrics and which lanes to look at; the others are said to be kept.
+    """
+    table = s.trim
+    if table is None:
+        return None
+    ty = types_of(s.domain)
+
+    def kept(u: Any, v: Any, active: Any) -> Any:
+        m = gather_packets(s.domain, leaf, DOMAIN, active)
+        cell = dr.reinterpret_array(ty.UInt, m[10])
+        tested = active & (cell > 0)
+        u, v = ty.Float(u), ty.Float(v)
+        w = 1.0 - u - v
+        bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
+        inv = dr.rcp(bary[0] + bary[1] + bary[2])
+        return ~tested | keep(table, cell - 1, bary[0] * inv, bary[1] * inv, tested)
+
+    return kept
 
 
 def _from_arc(x: Any, k: Any, scale: Any) -> Any:

@@ -15,11 +15,15 @@ import numpy as np
 from ..errors import BezierError
 from ..geometry.leaf_builder import build_leaves
 from ..geometry.leaves import Leaves
+from ..geometry.trim_cells import trim_cells
+from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
 from ..kernels.patch import pack
 from ..kernels.structure import build_structure
 from ..kernels.traverse import intersect
+from ..kernels.trim import TrimTable, build_table
 from .attached import attached_tables
+from .contours import open_edges
 from .interaction import PatchTables, Preliminary, surface_interaction
 from .surface_sampling import SurfaceSampling
 
@@ -42,6 +46,7 @@ class SceneData:
         #: The tables while an integrator tracks derivatives
         self.attached: PatchTables | None = None
         self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
+        self._open_edges: Any = None
         self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
         parts, patch_shape, patch_first = [], [], []
         first = 0
@@ -52,7 +57,18 @@ class SceneData:
             patch_shape += [number] * len(shape.patches)
             patch_first += [first] * len(shape.patches)
             first += len(shape.patches)
-        self.structure = build_structure(Leaves.join(parts), mi.Float)
+        leaves = Leaves.join(parts)
+        trims = [s.trims or Trims.none(len(s.patches)) for s in shapes]
+        #: The tables of the trims, None if no patch has any; its first cells are the patches.
+        self.trim: TrimTable | None = None
+        table = None
+        if any(s.trims is not None for s in shapes):
+            cells, cell, keep = trim_cells(Trims.join(trims), leaves.patch, leaves.corners())
+            if not keep.any():  # nothing is left, but a tree needs a leaf: test one
+                keep[0], cell[0] = True, leaves.patch[0]
+            self.trim = build_table(cells, mi.Float)
+            leaves, table = leaves.select(keep), (self.trim, cell[keep])
+        self.structure = build_structure(leaves, mi.Float, table)
         degree = max(shape.patches.degree for shape in shapes)
         nets = [pack(s.patches.elevate(degree - s.patches.degree).control_points) for s in shapes]
         self.patch_shape = upload(mi.UInt32, np.array(patch_shape))
@@ -152,6 +168,23 @@ class SceneData:
         if numbers not in self._sampling:
             self._sampling[numbers] = SurfaceSampling(self, list(numbers))
         return self._sampling[numbers]
+
+    def open_edges(self) -> Any:
+        """Return for each patch which edges have no neighbour in their shape.
+
+        Returns
+        -------
+        UInt
+            Bits 0 to 2 for the edges AB, BC, CA.
+        """
+        if self._open_edges is None:
+            masks = []
+            for shape in self.shapes:
+                bits = np.zeros(3 * len(shape.patches), dtype=np.uint32)
+                bits[open_edges(shape.patches, creases=False)] = 1
+                masks.append(bits.reshape(-1, 3) @ np.array([1, 2, 4], dtype=np.uint32))
+            self._open_edges = upload(mi.UInt32, np.concatenate(masks))
+        return self._open_edges
 
 
 def _texcoords(shapes: list[Any]) -> Any:

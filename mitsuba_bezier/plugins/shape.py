@@ -12,6 +12,7 @@ import numpy as np
 from .. import _runtime
 from ..errors import BezierError, FileFormatError, NetError
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
 from .surface_sampling import direction_sample, is_bounded
 
@@ -78,7 +79,9 @@ def make_shape_class() -> type:
 
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
-            patches = _read(props)
+            #: Trims of the patches, or None.
+            self.trims: Trims | None
+            patches, self.trims = _read(props)
             self._object_to_world = _affine(props.get("to_world", mi.ScalarTransform4f()))
             flip = props.get("flip_normals", False)
             if not isinstance(flip, bool):
@@ -178,6 +181,10 @@ def make_shape_class() -> type:
                 )
                 patches = self._object if same else BezierTriangles(values)
                 matrix, count = _affine(self.to_world), len(patches)
+                if self.trims is not None and count != len(self.trims):
+                    raise NetError.expected(
+                        "control_points", f"{len(self.trims)} patches, as the trims have", count
+                    )
                 corners = self.texture_corners
                 if self.texcoords is not None:
                     corners = check_texcoords(self.texcoords, count)
@@ -363,7 +370,7 @@ def _read_tables(
     return texcoords, attributes
 
 
-def _read(props: mi.Properties) -> BezierTriangles:
+def _read(props: mi.Properties) -> tuple[BezierTriangles, Trims | None]:
     """Take the net from exactly one of ``control_points`` and ``filename``."""
     has = [key for key in ("control_points", "filename") if key in props]
     if len(has) != 1:
@@ -376,13 +383,13 @@ def _read(props: mi.Properties) -> BezierTriangles:
         tensor = props["control_points"]
         if not hasattr(tensor, "shape"):
             raise NetError.expected("control_points", "a tensor of shape (P, K, 4)", repr(tensor))
-        return BezierTriangles(np.array(tensor, dtype=np.float64).reshape(tensor.shape))
-    from ..io import load
+        return BezierTriangles(np.array(tensor, dtype=np.float64).reshape(tensor.shape)), None
+    from ..io import load_trimmed
 
     name = props["filename"]
     if not isinstance(name, str):
         raise NetError.expected("filename", "the name of a file", repr(name))
     try:
-        return load(str(mi.file_resolver().resolve(name)))
+        return load_trimmed(str(mi.file_resolver().resolve(name)))
     except FileFormatError as error:
         raise FileFormatError(f"filename: {str(error).removeprefix('path: ')}") from None
