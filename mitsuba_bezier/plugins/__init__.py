@@ -14,6 +14,7 @@ _classes: dict[tuple[str, str], type] = {}
 
 
 def _maker(name: str) -> Any:
+    from .bezieraov import make_aov_class
     from .bezierpath import make_path_class
     from .beziervolpath import make_volpath_class
     from .projective import make_direct_projective_class, make_prb_projective_class
@@ -21,6 +22,7 @@ def _maker(name: str) -> Any:
 
     return {
         "beziertriangle": make_shape_class,
+        "bezieraov": make_aov_class,
         "bezierpath": make_path_class,
         "bezier_direct_projective": make_direct_projective_class,
         "bezier_prb_projective": make_prb_projective_class,
@@ -45,6 +47,7 @@ def _on_variant(_old: str | None, new: str | None) -> None:
     if new is None:
         return
     mi.register_shape("beziertriangle", lambda props: _instantiate("beziertriangle", props))
+    mi.register_integrator("bezieraov", lambda props: _instantiate("bezieraov", props))
     mi.register_integrator("bezierpath", lambda props: _instantiate("bezierpath", props))
     mi.register_integrator("beziervolpath", lambda props: _instantiate("beziervolpath", props))
     mi.register_integrator(
