@@ -15,10 +15,13 @@ import numpy as np
 from ..errors import BezierError
 from ..geometry.leaf_builder import build_leaves
 from ..geometry.leaves import Leaves
+from ..geometry.trim_cells import trim_cells
+from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
 from ..kernels.patch import pack
 from ..kernels.structure import build_structure
 from ..kernels.traverse import intersect
+from ..kernels.trim import TrimTable, build_table
 from .attached import attached_tables
 from .contours import open_edges
 from .interaction import PatchTables, Preliminary, surface_interaction
@@ -54,7 +57,18 @@ class SceneData:
             patch_shape += [number] * len(shape.patches)
             patch_first += [first] * len(shape.patches)
             first += len(shape.patches)
-        self.structure = build_structure(Leaves.join(parts), mi.Float)
+        leaves = Leaves.join(parts)
+        trims = [s.trims or Trims.none(len(s.patches)) for s in shapes]
+        #: The tables of the trims, None if no patch has any; its first cells are the patches.
+        self.trim: TrimTable | None = None
+        table = None
+        if any(s.trims is not None for s in shapes):
+            cells, cell, keep = trim_cells(Trims.join(trims), leaves.patch, leaves.corners())
+            if not keep.any():  # nothing is left, but a tree needs a leaf: test one
+                keep[0], cell[0] = True, leaves.patch[0]
+            self.trim = build_table(cells, mi.Float)
+            leaves, table = leaves.select(keep), (self.trim, cell[keep])
+        self.structure = build_structure(leaves, mi.Float, table)
         degree = max(shape.patches.degree for shape in shapes)
         nets = [pack(s.patches.elevate(degree - s.patches.degree).control_points) for s in shapes]
         self.patch_shape = upload(mi.UInt32, np.array(patch_shape))
