@@ -162,6 +162,27 @@ def test_nothing_at_depth_zero():
     )
 
 
+@pytest.mark.parametrize("hide", [False, True])
+@pytest.mark.parametrize("name", ["path", "volpath"])
+def test_alpha_is_mitsubas(name, hide):
+    # an environment in sight is opaque
+    film = {"type": "hdrfilm", "width": 12, "height": 8, "pixel_format": "rgba"}
+    parts = {
+        "camera": {**camera(), "film": {**film, "rfilter": {"type": "box"}}},
+        "sky": {"type": "constant"},
+        "ball": ball("native", [0, 0, 0], 1.5, bsdf={"type": "diffuse"}),
+    }
+    scene = mi.load_dict({"type": "scene", **parts})
+    theirs, ours = (
+        np.array(
+            mi.render(scene, integrator=mi.load_dict({"type": t, "hide_emitters": hide}), spp=16)
+        )
+        for t in (name, f"bezier{name}")
+    )
+    np.testing.assert_array_equal(ours[..., 3], theirs[..., 3])
+    assert (theirs[..., 3].min() == 0) == hide
+
+
 # ---------------------------------------------------------------- exact answers
 
 

@@ -163,7 +163,7 @@ def trace(
         "result": mi.Spectrum(0.0),
         "eta": mi.Float(1.0),
         "depth": mi.UInt32(vertices),
-        "valid": mi.Bool(False),
+        "valid": mi.Bool(not hide and scene.environment() is not None),
         "active": active,
         "prev_si": dr.zeros(mi.Interaction3f),
         "prev_pdf": mi.Float(1.0),

@@ -100,7 +100,7 @@ def _replay(
         "derivative": mi.Spectrum(0.0 if δL is None else δL),
         "eta": mi.Float(1.0),
         "depth": mi.UInt32(0),
-        "valid": mi.Bool(False),
+        "valid": mi.Bool(not hide and scene.environment() is not None),
         "active": active,
         "prev_si": dr.zeros(mi.SurfaceInteraction3f),
         "prev_pdf": mi.Float(1.0),
