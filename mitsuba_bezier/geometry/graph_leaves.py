@@ -28,16 +28,13 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
     """
     n = bernstein.degree_of(nets.shape[1])
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
-    size = np.zeros(patch.max(initial=0) + 1)
-    size[patch] = _extent(BezierTriangles(nets).bounds())
-    size[~np.isfinite(size)] = 0.0  # no leaf is small against a patch that runs to infinity
     for depth in range(settings.max_depth + 1):
         leaves, good = _graph_leaves(nets, domain, patch, settings)
         yield leaves.select(good)
         singular = _singular_corner(nets)
         crowd = _waiting(patch, good)
         last = _below_float32(leaves.box, singular >= 0) | (crowd > _BUDGET)
-        last |= (crowd > _CROWD) & (_extent(leaves.box) < _FINE * size[patch])
+        last[crowd > _CROWD] |= _flat(nets[crowd > _CROWD])
         last &= ~good
         if depth == settings.max_depth:
             last = ~good
@@ -78,9 +75,9 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
 #: Most leaves of one patch that may wait for a further cut. A patch whose parametrisation is
 #: singular along a curve has more at every level; it ends as planar triangles.
 _BUDGET = 20000
-#: With so many leaves waiting, those of this size of the patch are cut no further: where the
-#: surface is smooth, four planar triangles in place of one are off by 1e-7 of the patch.
-_CROWD, _FINE = 500, 1e-3
+#: With so many leaves waiting, those that are planar to this, relative to their coordinates, are
+#: cut no further: four planar triangles in place of one are off by a fourth of it, a rounding.
+_CROWD, _FLAT = 500, 2.5e-7
 #: Crumbs are drawn out by this, so that chords cover the arcs they replace.
 _OVERLAP = 1.03
 
@@ -118,10 +115,15 @@ def _below_float32(box: np.ndarray, singular: np.ndarray) -> np.ndarray:
         return size < np.where(singular, 3e-5, 3e-6) * np.abs(box).max(axis=(1, 2))
 
 
-def _extent(box: np.ndarray) -> np.ndarray:
-    """Return the longest edge of boxes ``(L, 2, 3)``; infinite ones have no size to speak of."""
-    with np.errstate(invalid="ignore"):
-        return (box[:, 1] - box[:, 0]).max(axis=1)
+def _flat(nets: np.ndarray) -> np.ndarray:
+    """Tell which nets with weights of one sign are planar but for `_FLAT`."""
+    w = nets[..., 3]
+    finite = (w > 0).all(axis=1) | (w < 0).all(axis=1)
+    p = _affine(np.where(finite[:, None, None], nets, 1.0))
+    size = np.abs(p).max(axis=(1, 2))
+    p = p - p.mean(axis=1, keepdims=True)
+    spread = np.linalg.eigvalsh(np.einsum("pka,pkb->pab", p, p))[:, 0]
+    return finite & (spread < (_FLAT * size) ** 2)
 
 
 def _waiting(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
