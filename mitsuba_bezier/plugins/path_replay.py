@@ -220,9 +220,14 @@ def _replay(
             },
         )
 
-    (state,) = dr.while_loop(
-        (state,), cond=lambda st: st["active"], body=body, label=f"bezierpath ({mode.name})"
-    )
+    try:
+        (state,) = dr.while_loop(
+            (state,), cond=lambda st: st["active"], body=body, label=f"bezierpath ({mode.name})"
+        )
+    except RuntimeError as error:
+        if isinstance(error.__cause__, BezierError):
+            raise error.__cause__ from None
+        raise
     return state["derivative"], state["valid"], state["rest"]
 
 

@@ -1,0 +1,84 @@
+"""Scenes and central differences that the tests of derivatives share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from mitsuba_cases import tensor
+
+__all__ = ["BENT", "KEY", "attach", "central", "film", "inner", "set_net", "weights"]
+
+KEY = "surface.control_points"
+
+#: A quadratic patch that is on no quadric: so are nets during an optimisation.
+BENT = np.array(
+    [
+        [
+            [1.0, -0.5, 0.0, 1.0],
+            [0.6, 0.6, 0.3, 1.2],
+            [0.5, -0.6, 0.4, 1.0],
+            [-0.7, 1.0, 0.2, 1.0],
+            [-0.6, 0.5, 0.5, 0.9],
+            [-0.8, -0.6, 0.0, 1.0],
+        ]
+    ]
+)
+
+
+def film(side: int) -> dict[str, Any]:
+    """Return film and sampler of a camera; the sampler's noise is small."""
+    return {
+        "film": {
+            "type": "hdrfilm",
+            "width": side,
+            "height": side,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+        },
+        "sampler": {"type": "multijitter"},
+    }
+
+
+def weights(side: int) -> np.ndarray:
+    """Return weights of pixels: a loss that no symmetry hides an error from."""
+    values = np.random.default_rng(0).uniform(0.2, 1.8, (side, side, 3))
+    return (values / values.size).astype(np.float32)
+
+
+def set_net(params: Any, net: np.ndarray) -> None:
+    """Give the surface new control points, without derivatives."""
+    params[KEY] = tensor(net)
+    params.update()
+
+
+def attach(params: Any, net: np.ndarray) -> Any:
+    """Give the surface control points with derivatives; return them."""
+    params[KEY] = tensor(net)
+    dr.enable_grad(params[KEY])
+    params.update()
+    return params[KEY]
+
+
+def inner(image: Any, w: np.ndarray) -> float:
+    """Return the loss of an image, or the change of the loss of a derivative image."""
+    return float((np.array(image, dtype=np.float64) * w).sum())
+
+
+def central(
+    render: Callable[[], Any],
+    params: Any,
+    net: np.ndarray,
+    change: np.ndarray,
+    w: np.ndarray,
+    e: float,
+) -> float:
+    """Return the central difference of the loss along a change of the net."""
+    out = []
+    for sign in (1, -1):
+        set_net(params, net + sign * e * change)
+        out.append(inner(render(), w))
+    return (out[0] - out[1]) / (2 * e)
