@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 from mitsuba_cases import tensor
 

@@ -234,8 +234,9 @@ def test_place_and_materials(indoors):
     params = mi.traverse(indoors)
     integrator, render = replay(indoors)
     w = weights(SIDE)
-    colour = next(k for k in params.keys() if "diffuse_reflectance" in k)
-    light = next(k for k in params.keys() if k.startswith("bulb.") and k.endswith(".data"))
+    keys = list(params.keys())
+    colour = next(k for k in keys if "diffuse_reflectance" in k)
+    light = next(k for k in keys if k.startswith("bulb.") and k.endswith(".data"))
     first = {k: type(params[k])(params[k]) for k in (colour, light, "surface.to_world")}
 
     def place(e: Any) -> Any:
