@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -12,7 +13,9 @@ import pytest
 from mitsuba_cases import bezier
 
 import mitsuba_bezier as mb
+from mitsuba_bezier import io
 from mitsuba_bezier.errors import GeometryError
+from mitsuba_bezier.geometry.trims import Trims, closed_region
 
 TORUS = 2.0, 0.75
 # a quadratic patch of uneven weights, as Euclidean points and weights
@@ -206,6 +209,62 @@ def test_inactive_lanes_have_no_density():
     assert (np.array(shape.pdf_position(ps, mi.Bool([True, False]))) > 0).tolist() == [True, False]
     ps = shape.sample_position(0.0, mi.Point2f([0.5, 0.5], 0.5), mi.Bool([True, False]))
     assert (np.array(ps.pdf) > 0).tolist() == [True, False]
+
+
+# ---------------------------------------------------------------- trimmed surfaces
+
+
+def trimmed_disk(tmp_path: Path) -> Any:
+    """Return a flat triangle of which a disk is left, and the disk's centre and radius."""
+    center, radius, half = np.array([0.35, 0.3]), 0.25, np.pi / 4
+    arcs = []
+    for start in (0, 1, 2, 3):
+        a = np.array([start, start + 0.5, start + 1]) * 2 * half
+        w = np.array([1, np.cos(half), 1])
+        xy = radius * np.stack([np.cos(a), np.sin(a)], axis=1) + center * w[:, None]
+        arcs.append(np.column_stack([xy, w]))
+    square = [[[1, 0, 0], [0, 1, 0]]]
+    trims = Trims([closed_region(arcs, 1e-9)], [0], square, [[[0, 0], [1, 1]]])
+    flat = mb.BezierTriangles([[[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 0, 1]]])
+    io.save(flat, tmp_path / "disk.vtu", trims=trims)
+    shape = mi.load_dict({"type": "beziertriangle", "filename": str(tmp_path / "disk.vtu")})
+    return shape, center, radius
+
+
+def test_positions_on_a_trimmed_patch(tmp_path):
+    shape, center, radius = trimmed_disk(tmp_path)
+    # 1e-3: the unit at the trimming curve is 1/192 of the patch (7e-4 measured)
+    assert float(shape.surface_area()[0]) == pytest.approx(np.pi * radius**2, rel=1e-3)
+    rng = np.random.default_rng(1)
+    ps = shape.sample_position(0.0, mi.Point2f(rng.random((2, 200_000)).astype(np.float32)))
+    pdf, p = np.array(ps.pdf), np.array(ps.p).T[:, :2]
+    inside = np.linalg.norm(p - center, axis=1) < radius
+    # 1e-5: the trims' slack and roundings
+    sure = np.abs(np.linalg.norm(p - center, axis=1) - radius) > 1e-5
+    assert ((pdf > 0) == inside)[sure].all()
+    assert inside.mean() > 0.75  # cells that are trimmed away are not sampled
+    # the samples' own density tells the area; 5 standard errors of the share inside
+    weights = np.divide(1.0, pdf, where=pdf > 0, out=np.zeros_like(pdf))
+    error = 5 * weights.std() / np.sqrt(len(weights))
+    assert weights.mean() == pytest.approx(np.pi * radius**2, abs=error)
+    again = np.array(shape.pdf_position(ps))
+    assert np.abs(again[inside & sure] / pdf[inside & sure] - 1).max() < 1e-3
+    # uniform in the disk: centre of the samples, and the mean of the squared radius
+    kept = p[pdf > 0] - center
+    assert np.abs(kept.mean(axis=0)).max() < 5 * radius / 2 / np.sqrt(len(kept))
+    assert (kept**2).sum(axis=1).mean() == pytest.approx(radius**2 / 2, rel=5e-3)
+
+
+def test_everything_is_trimmed_away(tmp_path):
+    far = [[[2, 2, 1], [3, 2, 1]], [[3, 2, 1], [3, 3, 1]], [[3, 3, 1], [2, 2, 1]]]
+    square = [[[1, 0, 0], [0, 1, 0]]]
+    trims = Trims([[np.array(c, float) for c in far]], [0], square, [[[0, 0], [1, 1]]])
+    flat = mb.BezierTriangles([[[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 0, 1]]])
+    io.save(flat, tmp_path / "none.vtu", trims=trims)
+    shape = mi.load_dict({"type": "beziertriangle", "filename": str(tmp_path / "none.vtu")})
+    assert np.array(shape.surface_area()).tolist() == [0]
+    with pytest.raises(GeometryError, match=r"finite area.*got area 0"):
+        shape.sample_position(0.0, mi.Point2f(0.5, 0.5))
 
 
 # ---------------------------------------------------------------- surfaces without area

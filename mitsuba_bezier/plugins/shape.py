@@ -14,7 +14,8 @@ from ..errors import BezierError, FileFormatError, NetError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
-from .surface_sampling import direction_sample, is_bounded
+from .surface_area import surface_area
+from .surface_sampling import direction_sample
 
 __all__ = ["make_shape_class"]
 
@@ -272,9 +273,11 @@ def make_shape_class() -> type:
             self._attributes[name] = (_tensor(texture.public), texture)
 
         def surface_area(self) -> Any:
-            """Return the area, infinite for a surface that runs to infinity."""
-            bounded = is_bounded(self.patches)
-            return mi.Float(float(self.patches.area().sum()) if bounded else np.inf)
+            """Return the area, to about 1e-3 where patches are trimmed.
+
+            It is infinite for a surface that runs to infinity.
+            """
+            return mi.Float(surface_area(self.patches, self.trims))
 
         def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
             """Sample the surface nearly by area; return `mi.PositionSample3f`."""

@@ -10,9 +10,12 @@ import numpy as np
 
 from ..errors import GeometryError
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trims import Trims
 from ..kernels.arrays import upload
+from ..kernels.trim import keep
+from .surface_area import is_bounded, left_of_cells
 
-__all__ = ["SurfaceSampling", "direction_sample", "is_bounded"]
+__all__ = ["SurfaceSampling", "direction_sample"]
 
 #: Cells of one shape: enough for the density to be nearly uniform, few enough for the cache.
 _CELLS = 4096
@@ -20,26 +23,13 @@ _CELLS = 4096
 _FLOOR = 0.125
 
 
-def is_bounded(patches: BezierTriangles) -> bool:
-    """Tell whether the surface is bounded.
-
-    It is where all weights of a patch have one sign. Patches whose weights have not are divided
-    up to six times: a point at infinity stays in one of the parts.
-    """
-    for _level in range(7):
-        unbounded = ~np.isfinite(patches.bounds()).all(axis=(1, 2))
-        if not unbounded.any():
-            return True
-        patches = patches[unbounded].split()
-    return False
-
-
-def _resolution(count: int) -> int:
+def _resolution(count: int, trimmed: bool) -> int:
     """Return into how many parts the edges of `count` patches are cut."""
-    return int(np.clip(np.sqrt(_CELLS / count), 1, 16))
+    # finer where samples may fall on what is trimmed away
+    return int(np.clip(np.sqrt(_CELLS / count), 1, 16)) * (3 if trimmed else 1)
 
 
-def _cell_densities(patches: BezierTriangles, r: int) -> np.ndarray:
+def _cell_densities(patches: BezierTriangles, trims: Trims | None, r: int) -> np.ndarray:
     """Return ``|dp_du x dp_dv|`` at the corners of the cells of a lattice of edge length ``1/r``.
 
     Cell ``(i, j, 0)`` has the corners ``(i, j), (i+1, j), (i, j+1)`` in units of ``1/r``, and
@@ -49,7 +39,7 @@ def _cell_densities(patches: BezierTriangles, r: int) -> np.ndarray:
     Returns
     -------
     (P, r, r, 2, 3) array
-        Zeros for cells outside of the triangle.
+        Zeros for cells outside of the triangle, and for those that are trimmed away.
     """
     i, j = np.meshgrid(np.arange(r), np.arange(r), indexing="ij")
     corner = np.stack([i, j], axis=-1)[:, :, None]
@@ -67,6 +57,11 @@ def _cell_densities(patches: BezierTriangles, r: int) -> np.ndarray:
         density = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1).reshape(2, -1, 3)
         floor = _FLOOR * density[1].mean(axis=1, keepdims=True)
         out[p][valid] = np.maximum(density[0], floor)
+    if trims is not None:
+        corners = uv[0, valid]
+        for p in np.flatnonzero(trims.region >= 0).tolist():
+            left = left_of_cells(trims, np.full(len(corners), p), corners)
+            out[p][valid] *= left[:, None] > 0
     return out
 
 
@@ -96,7 +91,9 @@ class SurfaceSampling:
 
     A shape is cut into cells in its parameters. The density in ``(u, v)`` is, up to a factor,
     linear in each cell, and ``|dp_du x dp_dv|`` in its corners; by area it is this number over
-    ``|dp_du x dp_dv|`` at the point. That is exact for any surface, and nearly constant.
+    ``|dp_du x dp_dv|`` at the point. That is exact for any surface, and nearly constant. In cells
+    on a trimming curve a sample may fall on what is trimmed away; its density is then 0, and it
+    counts as none.
 
     Parameters
     ----------
@@ -119,9 +116,11 @@ class SurfaceSampling:
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         for number in numbers:
             shape = data.shapes[number]
-            r = _resolution(len(shape.patches))
+            r = _resolution(len(shape.patches), shape.trims is not None)
             bounded = is_bounded(shape.patches)
-            density = _cell_densities(shape.patches, r).reshape(-1, 3) if bounded else np.zeros(1)
+            density = np.zeros((1, 3))
+            if bounded:
+                density = _cell_densities(shape.patches, shape.trims, r).reshape(-1, 3)
             total = density.sum() / (6 * r * r)
             if not (np.isfinite(total) and total > 0):
                 raise GeometryError.expected(
@@ -205,6 +204,9 @@ class SurfaceSampling:
         u = (mi.Float(i) + dr.select(down, 1.0 - a, a)) * step
         v = (mi.Float(j) + dr.select(down, 1.0 - b, b)) * step
         linear = dr.fma(a, c[1] - c[0], dr.fma(b, c[2] - c[0], c[0]))
+        if self.data.trim is not None:  # what is trimmed away is no sample
+            on_surface = mi.Bool(keep(self.data.trim, patch, u, v, active))
+            linear = dr.select(on_surface, linear, 0.0)
         return patch, u, v, linear
 
     def position(self, patch: Any, u: Any, v: Any, linear: Any, active: Any) -> Any:
