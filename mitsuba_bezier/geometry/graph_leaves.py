@@ -120,7 +120,7 @@ def _flat(nets: np.ndarray) -> np.ndarray:
     w = nets[..., 3]
     finite = (w > 0).all(axis=1) | (w < 0).all(axis=1)
     p = _affine(np.where(finite[:, None, None], nets, 1.0))
-    size = np.abs(p).max(axis=(1, 2))
+    size = np.abs(p).max(axis=2).min(axis=1)  # the nearest: a leaf may reach far out
     p = p - p.mean(axis=1, keepdims=True)
     spread = np.linalg.eigvalsh(np.einsum("pka,pkb->pab", p, p))[:, 0]
     return finite & (spread < (_FLAT * size) ** 2)
