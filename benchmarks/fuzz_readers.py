@@ -206,7 +206,7 @@ def damaged(draw: st.DrawFn, valid: list[bytes]) -> bytes:
 def work(name: str, seconds: float, first_seed: int) -> None:
     """Fuzz one format in this process; print the counts as JSON."""
     warnings.simplefilter("ignore")
-    isolated.TIME_LIMIT = 15
+    isolated.TIME_LIMIT = 40
     counts: Counter[str] = Counter()
     failures: dict[str, str] = {}
 

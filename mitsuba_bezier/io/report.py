@@ -176,7 +176,8 @@ class Collector:
         filled = [
             Trims.none(len(nets)) if t is None else t for t, nets in zip(parts, self._nets[key])
         ]
-        return Trims.join(filled)[order]
+        joined = Trims.join(filled)[order]
+        return joined if (joined.region >= 0).any() else None
 
     def _check(self, nets: np.ndarray, where: np.ndarray) -> None:
         """Turn unusable numbers into an error that names the file and the face."""

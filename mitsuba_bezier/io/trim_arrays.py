@@ -49,13 +49,14 @@ def unpacked_trims(arrays: dict[str, np.ndarray]) -> Trims:
         raise GeometryError.expected(
             "trims", f"curves with {len(points)} points in all", f"{int(sizes.sum())}"
         )
-    count = int(region.max(initial=-1)) + 1
+    count = int(curves[:, 0].max()) + 1 if len(curves) else 0
     if len(curves) and (curves[:, 0].min() < 0 or count > len(curves)):
-        raise GeometryError.expected("trims", "regions with curves", f"{count} regions")
-    regions: list[list[np.ndarray]] = [[] for _ in range(min(count, len(curves)))]
+        raise GeometryError.expected(
+            "trims", f"curves of regions below {len(curves)}", np.unique(curves[:, 0]).tolist()[:9]
+        )
+    regions: list[list[np.ndarray]] = [[] for _ in range(count)]
     for (number, size), stop in zip(curves.tolist(), np.cumsum(sizes).tolist()):
-        if number < len(regions):
-            regions[number].append(points[stop - size : stop])
+        regions[number].append(points[stop - size : stop])
     return Trims(
         regions,
         region,
