@@ -88,7 +88,9 @@ def make_volpath_class() -> type:
         ) -> tuple:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
             if mode != dr.ADMode.Primal:
-                raise BezierError.expected("beziervolpath", "a render", "derivatives asked of it")
+                raise BezierError.expected(
+                    "beziervolpath", "a render without derivatives (bezierpath has them)", mode
+                )
             L, valid = _trace(self, scene, sampler, ray, active, self._sensor_medium)
             return L, valid, [], L
 
