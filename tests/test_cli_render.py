@@ -157,6 +157,53 @@ def test_all_channels_of_an_aov_integrator(folder, capsys):
     assert (folder / "ball.png").exists()
 
 
+def test_variables_and_nested_integrators_with_bezier_shapes(folder, capsys):
+    mb.sphere().save(folder / "ball.vtu")
+    aov = """<integrator type="aov">
+      <string name="aovs" value="dd:depth, i:prim_index, p:position, c:albedo"/>
+      <integrator type="path" name="image"><integer name="max_depth" value="3"/></integrator>
+    </integrator>"""
+    path = '<integrator type="path"><integer name="max_depth" value="3"/></integrator>'
+    for name, integrator in (("all", aov), ("alone", path)):
+        text = scene(integrator=integrator, shapes=BEZIER.format("ball.vtu"))
+        (folder / f"{name}.xml").write_text(text)
+        assert render(f"{name}.xml", "--spp", "4") == 0
+    err = capsys.readouterr().err
+    assert "'aov' cannot see Bézier shapes: rendering with bezieraov" in err
+    assert "'path' cannot see Bézier shapes: rendering with bezierpath" in err
+    assert header("all.exr")["integrator"] == "bezieraov"
+    found, alone = pixels("all.exr"), pixels("alone.exr")
+    # the picture is that of the nested integrator, in the film's channels and the preview too
+    for channel in "RGB":
+        assert np.abs(found[channel] - alone[channel]).max() < 1e-3  # half precision
+        assert np.array_equal(found[f"image.{channel}"], found[channel])
+    assert (folder / "all.png").read_bytes() == (folder / "alone.png").read_bytes()
+    assert found["dd.T"][12, 16] == pytest.approx(4, abs=0.05)
+    assert found["i.I"].max() == 6  # four octants are seen from above
+    # colours are halves, as the film says; depths, positions and numbers are not
+    types = {name: values.dtype for name, values in found.items()}
+    assert types["dd.T"] == types["i.I"] == types["p.X"] == np.float32
+    assert types["R"] == types["image.A"] == types["c.G"] == np.float16
+
+
+def test_passes_and_parts_of_variables(folder):
+    mb.sphere().save(folder / "ball.vtu")
+    aov = '<integrator type="bezieraov"><string name="aovs" value="k:patch"/></integrator>'
+    (folder / "a.xml").write_text(scene(integrator=aov, shapes=BEZIER.format("ball.vtu")))
+    assert render("a.xml", "-q", "--spp", "4", "--spp-per-pass", "2") == 0
+    patch = pixels("a.exr")["k.I"]
+    # no sample of a corner sees the ball, and the middle of a patch is of one number
+    assert patch[0, 0] == -1
+    assert (patch == np.round(patch)).mean() > 0.8 and len(np.unique(patch)) >= 5
+    assert (folder / "a.png").exists()  # black: there is no nested integrator
+    # parts carry sums of the variables too
+    for part in ("1/2", "2/2"):
+        words = ("a.xml", "-q", "--spp", "4", "--spp-per-pass", "2", "--part", part)
+        assert render(*words, "-o", f"part{part[0]}.exr") == 0
+    assert main.main(["merge", "part1.exr", "part2.exr", "-o", "whole.exr", "-q"]) == 0
+    assert np.array_equal(pixels("whole.exr")["k.I"], patch)
+
+
 def test_monochrome(folder):
     assert render("ball.xml", "-q", "--spp", "4", "-m", "llvm_ad_mono") == 0
     assert header("ball.exr")["variant"] == "llvm_ad_mono"
@@ -245,16 +292,24 @@ def test_bezier_shapes_are_rendered(folder):
 
 def test_other_integrators_do_not_see_bezier_shapes(folder, capsys):
     mb.sphere().save(folder / "ball.vtu")
-    volpath = '<integrator type="volpath"/>'
-    (folder / "a.xml").write_text(scene(integrator=volpath, shapes=BEZIER.format("ball.vtu")))
-    assert render("a.xml") == 2
-    err = capsys.readouterr().err
-    assert "integrator: expected bezierpath or path (rendered with bezierpath)" in err
-    assert "got volpath at a.xml (line 3, col 4)" in err
+    direct = '<integrator type="direct"/>'
+    nested = f'<integrator type="aov"><string name="aovs" value="x:uv"/>{direct}</integrator>'
+    for integrator, place in ((direct, "line 3, col 4"), (nested, "line 3")):
+        (folder / "a.xml").write_text(
+            scene(integrator=integrator, shapes=BEZIER.format("ball.vtu"))
+        )
+        assert render("a.xml") == 2
+        err = capsys.readouterr().err
+        assert "integrator: expected bezierpath or beziervolpath or bezieraov or " in err
+        assert "path (rendered with bezierpath)" in err
+        assert f"got direct at a.xml ({place}" in err
     # without Bézier shapes they are used as they are
-    (folder / "b.xml").write_text(scene(integrator=volpath))
+    (folder / "b.xml").write_text(scene(integrator=direct))
     assert render("b.xml", "-q", "--spp", "1") == 0
-    assert header("b.exr")["integrator"] == "volpath"
+    assert header("b.exr")["integrator"] == "direct"
+    (folder / "c.xml").write_text(scene(integrator=nested))
+    assert render("c.xml", "-q", "--spp", "1") == 0
+    assert header("c.exr")["integrator"] == "bezieraov"
 
 
 # ---------------------------------------------------------------- errors, before any rendering
@@ -280,6 +335,8 @@ def test_other_integrators_do_not_see_bezier_shapes(folder, capsys):
         (["net.xml"], "no.vtu"),
         (["both.xml"], "neither"),
         (["twice.xml"], "Only one integrator can be specified"),
+        (["aov.xml"], "aovs: expected a type among albedo, depth, position, uv, "),
+        (["misspelt.xml"], '"max_dept"'),
     ],
 )
 def test_one_clear_line_before_rendering(folder, words, message, capsys, monkeypatch):
@@ -292,6 +349,12 @@ def test_one_clear_line_before_rendering(folder, words, message, capsys, monkeyp
         "net": scene(shapes=BEZIER.format("no.vtu")),
         "both": scene(shapes="<shape type='beziertriangle'/>"),
         "twice": scene(integrator="<integrator type='path'/>" * 2),
+        "aov": scene(
+            integrator="<integrator type='aov'><string name='aovs' value='d:dept'/></integrator>"
+        ),
+        "misspelt": scene(
+            integrator="<integrator type='path'><integer name='max_dept' value='2'/></integrator>"
+        ),
     }
     for name, text in files.items():
         (folder / f"{name}.xml").write_text(text)

@@ -47,14 +47,25 @@ def channels_of(bitmap: Any, half: bool) -> dict[str, np.ndarray]:
     bitmap : mi.Bitmap
         The image, with any number of channels.
     half : bool
-        As 16-bit floats, which Mitsuba's films write by default, instead of 32-bit ones.
+        Colours as 16-bit floats, which Mitsuba's films write by default, instead of 32-bit ones.
+        Other channels always have 32 bits: depths, positions and numbers need them.
     """
     pixels = np.array(bitmap)
     pixels = pixels.reshape(*pixels.shape[:2], -1)
-    if half:
-        limit = np.finfo(np.float16).max  # a larger pixel would become infinite
-        pixels = np.clip(pixels, -limit, limit).astype(np.float16)
-    return {field.name: pixels[..., i] for i, field in enumerate(bitmap.struct_())}
+    channels = {field.name: pixels[..., i] for i, field in enumerate(bitmap.struct_())}
+    if not half:
+        return channels
+    limit = np.finfo(np.float16).max  # a larger pixel would become infinite
+    return {
+        name: np.clip(values, -limit, limit).astype(np.float16) if _is_colour(name) else values
+        for name, values in channels.items()
+    }
+
+
+def _is_colour(name: str) -> bool:
+    """Tell whether a channel is one of colour: of the film itself, or R, G, B, A of a layer."""
+    layer, _, channel = name.rpartition(".")
+    return channel in ({"R", "G", "B", "A"} if layer else {"R", "G", "B", "A", "X", "Y", "Z"})
 
 
 def write_preview(path: Path, bitmap: Any, exposure: float = 0.0) -> bool:

@@ -20,10 +20,19 @@ __all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "load"]
 SHAPE = "beziertriangle"
 
 #: Integrators that intersect rays with the exact surfaces.
-SEES_BEZIER = ("bezierpath", "beziervolpath")
+SEES_BEZIER = (
+    "bezierpath",
+    "beziervolpath",
+    "bezieraov",
+    "bezier_direct_projective",
+    "bezier_prb_projective",
+)
 
 #: Mitsuba's integrators that have an equal among ours, with the same parameters.
-REPLACED = {"path": "bezierpath", "volpath": "beziervolpath"}
+REPLACED = {"path": "bezierpath", "volpath": "beziervolpath", "aov": "bezieraov"}
+
+#: Integrators whose nested integrators see what these see.
+HAS_NESTED = ("bezieraov",)
 
 
 @dataclass(frozen=True)
@@ -106,36 +115,46 @@ def _one_line(message: str) -> str:
     return " ".join(message.split())
 
 
-def _top_level(state: Any, node: Any) -> Iterator[Any]:
-    """Yield the nodes that are the scene's own children (`merge` wraps them after merging)."""
+def _children(state: Any, node: Any) -> Iterator[Any]:
+    """Yield the nodes that are a node's own children (`merge` wraps some of a scene's)."""
     for key in node.props.keys():  # noqa: SIM118 (Properties is no dict)
         value = node.props[key]
-        if hasattr(value, "index"):
+        if hasattr(value, "index") and not isinstance(value, str):  # a reference to a node
             child = state.nodes[value.index()]
             yield child
             if child.props.plugin_name() == "merge":
-                yield from _top_level(state, child)
+                yield from _children(state, child)
 
 
 def _choose_integrator(mi: Any, state: Any) -> tuple[str, list[str]]:
     """Exchange the scene's integrator where we have an equal; return its name and notes."""
-    has_bezier = any(node.props.plugin_name() == SHAPE for node in state.nodes)
     integrators = [
-        node for node in _top_level(state, state.root) if node.type == mi.ObjectType.Integrator
+        node for node in _children(state, state.root) if node.type == mi.ObjectType.Integrator
     ]
     if not integrators:
         return SEES_BEZIER[0], [f"the scene names no integrator: rendering with {SEES_BEZIER[0]}"]
-    node = integrators[0]
+    notes: list[str] = []
+    has_bezier = any(node.props.plugin_name() == SHAPE for node in state.nodes)
+    return _exchange(mi, state, integrators[0], has_bezier, notes), notes
+
+
+def _exchange(mi: Any, state: Any, node: Any, has_bezier: bool, notes: list[str]) -> str:
+    """Exchange an integrator and those nested in it; return its name."""
     name = node.props.plugin_name()
     if name in REPLACED:
-        node.props.set_plugin_name(REPLACED[name])
-        note = f"the integrator '{name}' cannot see Bézier shapes: rendering with {REPLACED[name]}"
-        return REPLACED[name], [note]
-    if has_bezier and name not in SEES_BEZIER:
+        own = REPLACED[name]
+        node.props.set_plugin_name(own)
+        notes.append(f"the integrator '{name}' cannot see Bézier shapes: rendering with {own}")
+        name = own
+    elif has_bezier and name not in SEES_BEZIER:
         names = [*SEES_BEZIER, *(f"{old} (rendered with {new})" for old, new in REPLACED.items())]
         raise FileFormatError.expected(
             "integrator",
             f"{' or '.join(names)}, which see the scene's Bézier shapes",
             f"{name} at {mi.parser.file_location(state, node)}",
         )
-    return name, []
+    if name in HAS_NESTED:
+        for child in _children(state, node):
+            if child.type == mi.ObjectType.Integrator:
+                _exchange(mi, state, child, has_bezier, notes)
+    return name

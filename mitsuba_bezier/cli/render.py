@@ -65,8 +65,9 @@ def add_parser(subparsers: Any) -> None:
         "render",
         help="render a scene file to OpenEXR and PNG",
         description="Render a Mitsuba scene (.xml), Bézier shapes and all others, to an OpenEXR "
-        "file with a PNG preview beside it. Mitsuba's integrator 'path' is replaced by "
-        "'bezierpath', which has the same parameters and sees Bézier shapes.",
+        "file with a PNG preview beside it. Mitsuba's integrators 'path', 'volpath' and 'aov' are "
+        "replaced by 'bezierpath', 'beziervolpath' and 'bezieraov', which have the same "
+        "parameters and see Bézier shapes.",
     )
     add = parser.add_argument
     add("scene", metavar="SCENE", help="the scene file")
