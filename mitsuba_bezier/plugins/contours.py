@@ -113,7 +113,12 @@ def contour_segments(patches: BezierTriangles, eye: np.ndarray) -> Segments:
         pair.sort(axis=1)
         ends.append(_root(patches, patch, nodes[pair[:, 0]], nodes[pair[:, 1]], eye))
     a, b = ends
-    good = np.linalg.norm(b - a, axis=1) > 1e-6
+    # at collapsed edges the facing is 0, with the sign of a rounding; nothing is to be seen there
+    start, end = patches.points(patch, a), patches.points(patch, b)
+    length = np.linalg.norm(end - start, axis=1)
+    finite = np.isfinite(length)
+    extent = np.ptp(start[finite], axis=0).max() if finite.any() else 0.0
+    good = finite & (length > 1e-7 * extent)
     return Segments(patch[good], a[good], b[good], np.zeros(good.sum(), dtype=bool))
 
 
