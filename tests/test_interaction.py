@@ -160,6 +160,16 @@ def test_shading_frames(name):
     assert np.abs(wi).max() < 2e-3 * np.abs(numbers(ray.d)).max()
 
 
+def test_an_interaction_from_a_preliminary_one():
+    shape = make(*CASES["textured"])
+    si, ray, *_ = hits(shape)
+    pi = shape.ray_intersect_preliminary(ray)
+    again = shape.compute_surface_interaction(ray, pi, EVERYTHING)
+    for name in ("t", "p", "n", "uv", "dp_du", "dn_dv", "wi", "prim_index"):
+        assert np.array_equal(np.array(getattr(si, name)), np.array(getattr(again, name))), name
+    assert dr.all(again.shape == si.shape)
+
+
 def test_misses():
     shape = make(*CASES["octants"])
     si = shape.ray_intersect(ray_of([[0, 3, 3.0]], [[0, 0, -1.0]]), EVERYTHING)

@@ -14,6 +14,7 @@ from ..errors import BezierError, FileFormatError, NetError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
+from .interaction import Preliminary
 from .surface_area import surface_area
 from .surface_sampling import direction_sample
 
@@ -316,6 +317,14 @@ def make_shape_class() -> type:
             hit = data.preliminary(ray, active)
             flags = mi.RayFlags.All if flags is None else flags
             return data.surface_interaction(hit, ray, flags, active)
+
+        def compute_surface_interaction(
+            self, ray: Any, pi: Any, flags: Any = None, active: Any = True
+        ) -> Any:
+            """Return the `mi.SurfaceInteraction3f` of what `ray_intersect_preliminary` found."""
+            flags = mi.RayFlags.All if flags is None else flags
+            hit = Preliminary(pi, pi.is_valid(), pi.prim_index)
+            return self._alone().surface_interaction(hit, ray, flags, active)
 
         def ray_test(self, ray: Any, active: Any = True) -> Any:
             """Return whether the ray hits."""

@@ -51,17 +51,19 @@ def _cell_densities(patches: BezierTriangles, trims: Trims | None, r: int) -> np
         uv[k, :, :, 0] = (corner + offset) / r
         uv[k, :, :, 1] = (corner + 1 - offset) / r
     points = uv[:, valid].reshape(-1, 2)
-    out = np.zeros((len(patches), r, r, 2, 3))
-    for p in range(len(patches)):
-        d = patches.differential(p, points)
-        density = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1).reshape(2, -1, 3)
-        floor = _FLOOR * density[1].mean(axis=1, keepdims=True)
-        out[p][valid] = np.maximum(density[0], floor)
+    count = len(patches)
+    d = patches.differential(np.repeat(np.arange(count), len(points)), np.tile(points, (count, 1)))
+    density = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1).reshape(count, 2, -1, 3)
+    floor = _FLOOR * density[:, 1].mean(axis=2, keepdims=True)
+    out = np.zeros((count, r, r, 2, 3))
+    out[:, valid] = np.maximum(density[:, 0], floor)
     if trims is not None:
-        corners = uv[0, valid]
-        for p in np.flatnonzero(trims.region >= 0).tolist():
-            left = left_of_cells(trims, np.full(len(corners), p), corners)
-            out[p][valid] *= left[:, None] > 0
+        trimmed = np.flatnonzero(trims.region >= 0)
+        corners = np.tile(uv[0, valid], (len(trimmed), 1, 1))
+        left = left_of_cells(trims, np.repeat(trimmed, valid.sum()), corners) > 0
+        part = out[trimmed]
+        part[:, valid] *= left.reshape(len(trimmed), -1, 1)
+        out[trimmed] = part
     return out
 
 
