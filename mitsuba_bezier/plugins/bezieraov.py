@@ -269,19 +269,22 @@ def make_aov_class() -> type:
             """Return the film's channels in the order of the tensor, and each nested image's part.
 
             The film has `own` channels, RGBA of each nested integrator, their variables, and ours.
-            The tensor has of each nested one the channels that its own film would have, then ours.
+            The tensor has of each nested one what it would return by itself, then ours.
             """
             colours = {1: [0], 2: [0, 3], 3: [0, 1, 2], 4: [0, 1, 2, 3]}[own]
             order: list[int] = []
             parts = []
             place = own + 4 * len(self._nested)
             for k, (_name, nested) in enumerate(self._nested):
-                start = len(order)
-                order += range(own) if k == 0 else [own + 4 * k + c for c in colours]
                 extra = len(nested.aov_names())
-                order += range(place, place + extra)
+                film = list(range(own)) if k == 0 else [own + 4 * k + c for c in colours]
+                film += range(place, place + extra)
                 place += extra
-                parts.append(list(range(start, len(order))))
+                inner = range(own + extra)
+                if isinstance(nested, BezierAOV):
+                    inner = nested._layout(own)[0]
+                parts.append(list(range(len(order), len(order) + len(inner))))
+                order += [film[c] for c in inner]
             return [*order, *range(place, own + len(self.aov_names()))], parts
 
         def traverse(self, cb: Any) -> None:
