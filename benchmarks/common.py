@@ -1,12 +1,18 @@
-"""What the benchmarks share: rays, meshes, the machine, timing."""
+"""What the benchmarks share: rays, meshes, timing, child processes, the machine."""
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -15,7 +21,51 @@ import numpy as np
 
 import mitsuba_bezier as mb
 
-__all__ = ["best_times", "camera_rays", "machine", "random_rays", "sphere_mesh", "to_rays"]
+__all__ = [
+    "Options",
+    "Timing",
+    "camera_rays",
+    "child",
+    "into_unit_ball",
+    "machine",
+    "mesh",
+    "random_rays",
+    "resolution_for",
+    "set_variant",
+    "time_in_turns",
+    "to_rays",
+]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run measures; the same for all tables."""
+
+    variant: str = "llvm_ad_rgb"
+    million: float = 4.0  #: rays of each kind, in millions
+    runs: int = 7  #: repetitions of each ray query
+    renders: int = 3  #: the same for renders
+    side: int = 256  #: of the rendered images, in pixels
+    spp: int = 64
+    large: bool = False  #: with meshes of 16 million triangles: some 5 GB of memory
+    mesh_unit: float = 1e6  #: triangles in a "million" of a mesh; smaller in tests
+    patches: tuple[int, ...] = (1, 100, 10_000, 100_000)
+
+    @property
+    def side_of_rays(self) -> int:
+        """Side of the square of coherent rays; a multiple of eight."""
+        return max(8, int(np.sqrt(self.million * 1e6)) // 8 * 8)
+
+    @property
+    def mesh_sizes(self) -> dict[str, int]:
+        """Triangles of the sphere meshes, by label."""
+        sizes = {"mesh 65k": 0.065536, "mesh 1M": 1.0}
+        if self.large:
+            sizes["mesh 16M"] = 16.777216
+        return {name: max(8, int(size * self.mesh_unit)) for name, size in sizes.items()}
+
+
+# ---------------------------------------------------------------------- rays
 
 
 def camera_rays(side: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -55,39 +105,111 @@ def to_rays(o: np.ndarray, d: np.ndarray) -> Any:
     return ray
 
 
-def sphere_mesh(triangles: int) -> Any:
-    """Return a mesh of the unit sphere, at least `triangles` large: the octants, tessellated."""
-    resolution = int(np.ceil(np.sqrt(triangles / 8)))
-    vertices, faces = mb.sphere(cover="octants").tessellate(resolution)
-    mesh = mi.Mesh("sphere", len(vertices), len(faces))
-    params = mi.traverse(mesh)
+# ---------------------------------------------------------------------- surfaces
+
+
+def into_unit_ball(patches: mb.BezierTriangles) -> mb.BezierTriangles:
+    """Move and scale patches so that their box fits into the ball of radius one."""
+    box = patches.bounds()
+    low, high = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
+    scale = 2.0 / float(np.linalg.norm(high - low))
+    matrix = np.diag([scale, scale, scale, 1.0])
+    matrix[:3, 3] = -scale * (low + high) / 2
+    return patches.transform(matrix)
+
+
+def resolution_for(patches: int, triangles: int) -> int:
+    """Return the resolution at which that many patches give at least that many triangles."""
+    return int(np.ceil(np.sqrt(triangles / patches)))
+
+
+def mesh(patches: mb.BezierTriangles, triangles: int, bsdf: Any = None) -> Any:
+    """Return the patches as a mesh of at least that many triangles."""
+    vertices, faces = patches.tessellate(resolution_for(len(patches), triangles))
+    props = mi.Properties()
+    if bsdf is not None:
+        props["bsdf"] = bsdf
+    result = mi.Mesh("mesh", len(vertices), len(faces), props=props)
+    params = mi.traverse(result)
     params["vertex_positions"] = mi.Float(vertices.astype(np.float32).ravel())
     params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
     params.update()
-    return mesh
+    return result
 
 
-def best_times(tasks: dict[str, Callable[[], Any]], runs: int) -> dict[str, float]:
-    """Time tasks in turns and return the best of each, in seconds.
+# ---------------------------------------------------------------------- timing
 
-    The first run of each, which compiles, is not counted. Results are evaluated and waited for.
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds of one task, over its repetitions."""
+
+    best: float  #: shortest time by the clock
+    median: float
+    cpu: float  #: least time of all threads together: the measure on a machine with other work
+
+    def as_row(self) -> dict[str, float]:
+        """Return the numbers for JSON."""
+        return {"best": self.best, "median": self.median, "cpu": self.cpu}
+
+
+def time_in_turns(tasks: dict[str, Callable[[], Any]], runs: int) -> dict[str, Timing]:
+    """Time tasks in turns.
+
+    The first two runs of each are not counted: they compile, the second one sometimes again, as
+    kernels that use the same literals as another one before them are written in another order.
+    Results are evaluated and waited for.
     """
 
-    def once(task: Callable[[], Any]) -> float:
+    def once(task: Callable[[], Any]) -> tuple[float, float]:
         dr.sync_thread()
-        start = time.perf_counter()
+        cpu, start = time.process_time(), time.perf_counter()
         dr.eval(task())
         dr.sync_thread()
-        return time.perf_counter() - start
+        return time.perf_counter() - start, time.process_time() - cpu
 
-    best = {}
-    for name, task in tasks.items():
+    for task in 2 * list(tasks.values()):
         once(task)
-        best[name] = float("inf")
+    seen: dict[str, list[tuple[float, float]]] = {name: [] for name in tasks}
     for _ in range(runs):
         for name, task in tasks.items():
-            best[name] = min(best[name], once(task))
-    return best
+            seen[name].append(once(task))
+    return {
+        name: Timing(
+            best=min(wall for wall, _ in pairs),
+            median=statistics.median(wall for wall, _ in pairs),
+            cpu=min(cpu for _, cpu in pairs),
+        )
+        for name, pairs in seen.items()
+    }
+
+
+# ---------------------------------------------------------------------- processes
+
+
+def set_variant(name: str) -> None:
+    """Set the variant, or end the program with one line that says why it does not start."""
+    try:
+        mi.set_variant(name)
+        dr.eval(mi.Float([0.0]) + 1.0)
+    except Exception as error:  # what Dr.Jit raises without a driver has no class of its own
+        reason = str(error).strip().splitlines()
+        raise SystemExit(
+            f"the variant {name} does not start here: {reason[0] if reason else error}"
+        ) from None
+
+
+def child(script: str, arguments: list[str], variables: dict[str, str] | None = None) -> Any:
+    """Run a script of this folder in a process of its own; return the JSON of its last line."""
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name(script)), *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **(variables or {})},
+    )
+    if done.returncode != 0:
+        raise SystemExit(f"{script} {' '.join(arguments)} failed:\n{done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def _processor() -> str:
@@ -117,4 +239,5 @@ def machine() -> dict[str, Any]:
         if hasattr(os, "sched_getaffinity")
         else os.cpu_count(),
         "threads": dr.thread_count() if llvm else None,
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
     }
