@@ -1,9 +1,11 @@
-"""Convert CAD files and compare the area of every face with OpenCASCADE's own.
+"""Read CAD files as a render does: faces in, faces rendered, faces refused with the reason.
 
-    python benchmarks/cad_files.py FILE.step FILE.iges ... [--markdown]
+    python benchmarks/cad_files.py FILE.step FILE.iges FILE.3dm ... [--area]
 
-Prints faces in, faces converted, faces refused with the reasons, the patches by degree, the
-largest relative difference of area of a face, and the time. Needs the extra ``[cad]``.
+Faces trimmed by curves keep their patches, with trims; so the table tells patches by degree, and
+how many of them are trimmed. ``--area`` also restricts all patches to their trims, as
+`mitsuba_bezier.load` and ``convert`` do, and compares the area of every face with OpenCASCADE's
+own; the largest relative difference is shown. Needs the extras ``[cad]`` and ``[rhino]``.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.geometry.triangles import BezierTriangles
-from mitsuba_bezier.io import cad
+from mitsuba_bezier.io import cad, rhino
 
 
 def areas(triangles: BezierTriangles) -> np.ndarray:
@@ -50,48 +52,57 @@ def reference_areas(path: Path) -> np.ndarray:
     return np.array(out)
 
 
-def row(path: Path) -> list[str]:
+def row(path: Path, with_area: bool) -> list[str]:
     """Return one line of the table."""
-    start = time.perf_counter()
+    start = time.process_time()
+    reader = rhino if path.suffix.lower() == ".3dm" else cad
     try:
-        model = cad.read_here(path)
+        model = reader.read_here(path, trims=True)
     except BezierError as error:
-        return [path.name, "-", "-", str(error).split(": ", 1)[-1][:60], "", "", ""]
-    seconds = time.perf_counter() - start
+        return [path.name, "0", "0", str(error).split(": ", 1)[-1][:60], "", "", ""]
+    seconds = time.process_time() - start
+    reasons: dict[str, int] = {}
+    for refusal in model.report.refused:
+        reasons[refusal.reason] = reasons.get(refusal.reason, 0) + refusal.count
+    degrees = []
+    for group, trims in zip(model.groups, model.trims or [None] * len(model.groups)):
+        trimmed = 0 if trims is None else int((trims.region >= 0).sum())
+        note = f" ({trimmed} trimmed)" if trimmed else ""
+        degrees.append(f"{len(group)} of {group.degree}{note}")
+    return [
+        path.name,
+        str(model.report.faces),
+        str(model.report.converted),
+        "; ".join(f"{n}: {reason}" for reason, n in reasons.items()),
+        ", ".join(degrees),
+        area_error(path) if with_area and reader is cad else "",
+        f"{seconds:.1f}",
+    ]
+
+
+def area_error(path: Path) -> str:
+    """Return the largest relative difference of area of a face, without trims."""
+    model = cad.read_here(path)
     wanted = reference_areas(path)
     got = np.zeros(len(wanted))
     for group, source in zip(model.groups, model.sources):
         np.add.at(got, source, areas(group))
     done = got > 0
     error = np.abs(got - wanted)[done] / np.maximum(wanted[done], 1e-9 * wanted.sum())
-    reasons: dict[str, int] = {}
-    for refusal in model.report.refused:
-        reasons[refusal.reason] = reasons.get(refusal.reason, 0) + refusal.count
-    degrees = ", ".join(f"{len(g)} of {g.degree}" for g in model.groups)
-    return [
-        path.name,
-        str(model.report.faces),
-        str(model.report.converted),
-        "; ".join(f"{n}: {reason}" for reason, n in reasons.items()),
-        degrees,
-        f"{error.max():.0e}",
-        f"{seconds:.1f}",
-    ]
+    return f"{error.max():.0e}"
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("files", nargs="+", type=Path)
-    parser.add_argument("--markdown", action="store_true")
+    parser.add_argument("--area", action="store_true", help="compare areas (slow)")
     arguments = parser.parse_args()
-    head = ["file", "faces", "converted", "refused", "patches by degree", "area", "s"]
-    separator = " | " if arguments.markdown else "  "
-    print(separator.join(head))
-    if arguments.markdown:
-        print(separator.join("---" for _ in head))
+    head = ["file", "faces", "rendered", "refused", "patches by degree", "area", "s"]
+    print("|", " | ".join(head), "|")
+    print("|", " | ".join("---" for _ in head), "|")
     for path in arguments.files:
-        print(separator.join(row(path)), flush=True)
+        print("|", " | ".join(row(path, arguments.area)), "|", flush=True)
 
 
 if __name__ == "__main__":

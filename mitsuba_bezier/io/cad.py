@@ -5,7 +5,8 @@ Every face is converted exactly, or reported:
 * Its surface is cut at the parameters of its trimming curves, if those are parameter lines, and
   each rectangle becomes Bézier patches, two triangles each. Planes, cylinders, cones, spheres,
   tori, surfaces of revolution and extrusion and NURBS are exact as rational patches.
-* A plane face with other boundaries is filled with curved plane triangles (`plane_regions`).
+* A plane face with other boundaries is filled with curved plane triangles (`plane_regions`),
+  unless these are of high degree and trims are wanted.
 * Other faces trimmed by curves keep the patches of their surface, with the curves as trims
   (`trimmed_grid`), if the caller asks for them: both are exact.
 * If not, they are restricted to curved triangles of their parameter plane (`trimmed_patches`): the
@@ -219,7 +220,9 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str, trims: bool) 
         collector.report.notes.append(f"{name} is an offset surface, approximated to 0.0001 mm")
     if edges is None:
         found: list[np.ndarray] | str = "trimmed by curves"
-        if isinstance(surface, occ.geom.Geom_Plane):
+        plane = isinstance(surface, occ.geom.Geom_Plane)
+        # a triangle has the degree of its boundary: with trims a plane need not
+        if plane and not (trims and max(map(len, curves)) > 4):
             found = _plane_region(surface, curves, extent)
         elif not trims:
             found = _curved_region(occ, surface, edge_curves)
@@ -302,7 +305,13 @@ def _trimmed_part(occ: Any, surface: Any, curves: list[np.ndarray], turned: bool
     if isinstance(angular, str):
         return angular
     closed = closed_boundary(curves, box)
-    return closed if isinstance(closed, str) else trimmed_grid(grid, closed, angular, turned)
+    if isinstance(closed, str):
+        return closed
+    part = trimmed_grid(grid, closed, angular, turned)
+    if isinstance(surface, occ.geom.Geom_Plane) and not isinstance(part, str):
+        nets, trims = part
+        return nets[:, bernstein.corner_rows(2)], trims  # of degree 1 in fact
+    return part
 
 
 def _curved_region(occ: Any, surface: Any, edges: list[np.ndarray]) -> list[np.ndarray] | str:
