@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from derivative_cases import BENT, attach, central, film, inner, set_net, weights
+from derivative_cases import BENT, attach, central, film, inner, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb

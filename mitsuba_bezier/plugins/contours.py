@@ -154,7 +154,8 @@ def edge_segments(patches: BezierTriangles, parts: int = 16) -> Segments:
     points = start[:, None] + steps[None, :, None] * (end - start)[:, None]
     a, b = points[:, :-1].reshape(-1, 2), points[:, 1:].reshape(-1, 2)
     ends = [patches.points(patch, x) for x in (a, b)]
-    good = np.isfinite(ends[0]).all(axis=1) & np.isfinite(ends[1]).all(axis=1)
+    finite = np.isfinite(ends[0]).all(axis=1) & np.isfinite(ends[1]).all(axis=1)
+    good = np.repeat(finite.reshape(-1, parts).all(axis=1), parts)  # edges as a whole
     return Segments(patch[good], a[good], b[good], np.ones(good.sum(), dtype=bool))
 
 

@@ -6,16 +6,14 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ..kernels.curvature import evaluate_second
 from .attached import attached_tables, is_attached
 from .bezierpath import trace
+from .boundary_lines import BoundaryLines
 from .primary_silhouette import surface_at
 from .scene import SceneRays
-from .silhouette import BoundarySample, Discrete, SilhouetteCurves, outward
 
-__all__ = ["indirect_silhouette_image", "sample_boundary"]
+__all__ = ["indirect_silhouette_image"]
 
 
 def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: Any, spp: int) -> Any:
@@ -42,7 +40,7 @@ def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: An
     with dr.suspend_grad():
         sampler, spp = integrator.prepare(sensor, 0x9E3779B9 ^ seed, spp, [])
         sample = mi.Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
-        boundary = sample_boundary(data, numbers, sample, mi.Bool(True))
+        boundary = BoundaryLines(data, numbers).sample(sample, mi.Bool(True))
         wavelength_sample = sampler.next_1d() if mi.is_spectral else mi.Float(0)
         wavelengths, weight = sensor.sample_wavelengths(
             dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, boundary.valid
@@ -81,71 +79,6 @@ def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: An
     )
     film.put_block(block)
     return film.develop()
-
-
-def sample_boundary(data: Any, numbers: list[int], sample: Any, active: Any) -> BoundarySample:
-    """Sample lines that touch shapes of a structure.
-
-    Parameters
-    ----------
-    data : SceneData
-    numbers : list of int
-        Which of its shapes; each is as probable.
-    sample : Point3f
-        Uniform in the unit cube. The first is used for the kind, the shape and the angle.
-    active : Bool
-    """
-    curves = SilhouetteCurves(data, numbers, None)
-    x = sample.x
-    is_edge = mi.Bool(False)
-    choice = mi.Float(1)
-    if len(curves):
-        is_edge = x < 0.5
-        choice = mi.Float(0.5)
-        x = dr.minimum(dr.select(is_edge, 2 * x, 2 * x - 1), dr.one_minus_epsilon(mi.Float))
-    surface = _tangents(data, numbers, mi.Point3f(x, sample.y, sample.z), active & ~is_edge)
-    if not len(curves):
-        return surface
-    edges = _edge_lines(curves, mi.Point3f(x, sample.y, sample.z), active & is_edge)
-    out = dr.select(is_edge, edges, surface)
-    out.pdf = out.pdf * choice
-    return out
-
-
-def _tangents(data: Any, numbers: list[int], sample: Any, active: Any) -> BoundarySample:
-    sampling = data.surface_sampling(tuple(numbers))
-    scaled = sample.x * len(numbers)
-    which = dr.minimum(mi.UInt32(scaled), len(numbers) - 1)
-    angle = dr.two_pi * (scaled - mi.Float(which))
-    patch, u, v, linear = sampling.sample_parameters(which, mi.Point2f(sample.y, sample.z), active)
-    ps = sampling.position(patch, u, v, linear, active)
-    frame = mi.Frame3f(ps.n)
-    sine, cosine = dr.sincos(angle)
-    d = frame.s * cosine + frame.t * sine
-    tables = data.tables
-    h = evaluate_second(tables.nets, tables.degree, patch, u, v, active)
-    n, curvature = outward(h, d)
-    out = BoundarySample(patch, u, v, ps.p, d, n, curvature)
-    out.pdf = ps.pdf * dr.inv_two_pi / len(numbers)
-    out.is_edge = mi.Bool(False)
-    out.valid = active & (ps.pdf > 0) & dr.isfinite(curvature) & (curvature > 0)
-    return out
-
-
-def _edge_lines(curves: SilhouetteCurves, sample: Any, active: Any) -> BoundarySample:
-    a, b = curves.ends()
-    choice = Discrete(np.linalg.norm(b - a, axis=1))
-    index, s, pmf = choice.sample(sample.x, active)
-    d = mi.warp.square_to_uniform_sphere(mi.Point2f(sample.y, sample.z))
-    point = curves.point(index, s, active)
-    length = dr.norm(point.tangent)
-    sine = dr.norm(dr.cross(d, point.tangent)) / length
-    n = curves.edge_normal(d, point.patch, point.u, point.v, point.tangent, active)
-    out = BoundarySample(point.patch, point.u, point.v, point.p, d, n, sine)
-    out.pdf = pmf / length / (4 * dr.pi)
-    out.is_edge = mi.Bool(True)
-    out.valid = active & point.valid & (length > 0) & (sine > 0)
-    return out
 
 
 def _importance(

@@ -15,6 +15,7 @@ from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
 from .interaction import Preliminary
+from .shape_silhouettes import METHODS
 from .surface_area import surface_area
 from .surface_sampling import direction_sample
 
@@ -43,7 +44,8 @@ def make_shape_class() -> type:
              be zero (a point at infinity) or negative.
          * - filename
            - |string|
-           - A file of Bézier triangles instead; see `mitsuba_bezier.load`.
+           - A file of Bézier triangles instead; see `mitsuba_bezier.load`. A ``.vtu`` file may
+             hold texture coordinates and attributes too.
          * - to_world
            - |transform|
            - Affine map from object to world space (Default: none, |exposed|).
@@ -330,6 +332,8 @@ def make_shape_class() -> type:
             """Return whether the ray hits."""
             return self._alone().test(ray, active)
 
+    for method in METHODS:
+        setattr(BezierTriangle, method.__name__, method)
     return BezierTriangle
 
 
@@ -371,15 +375,27 @@ def _affine(transform: Any) -> np.ndarray:
 def _read_tables(
     props: mi.Properties, count: int
 ) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
-    """Take texture coordinates and attributes of `count` patches out of the properties."""
-    texcoords = check_texcoords(props["texcoords"], count) if "texcoords" in props else None
-    attributes = {}
+    """Take texture coordinates and attributes of `count` patches out of the properties.
+
+    Those of the file come first; parameters of the same name replace them.
+    """
+    found: dict[str, Any] = {}
+    if "filename" in props:
+        from ..io import load_attributes
+
+        found.update(load_attributes(str(mi.file_resolver().resolve(props["filename"]))))
+    if "texcoords" in props:
+        found["texcoords"] = props["texcoords"]
     for key in list(props.keys()):
         # "face_normals" is a parameter of Mitsuba's meshes, and textures are for any shape
         if is_attribute(key) and key != "face_normals" and not isinstance(props[key], mi.Texture):
-            attributes[key] = check_attribute(key, props[key], count)
+            found[key] = props[key]
             del props[key]
-    return texcoords, attributes
+    texcoords = found.pop("texcoords", None)
+    return (
+        None if texcoords is None else check_texcoords(texcoords, count),
+        {key: check_attribute(key, values, count) for key, values in found.items()},
+    )
 
 
 def _read(props: mi.Properties) -> tuple[BezierTriangles, Trims | None]:

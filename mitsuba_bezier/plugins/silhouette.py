@@ -11,9 +11,10 @@ import numpy as np
 
 from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials, evaluate_second
+from ..kernels.trim import keep
 from .contours import Segments, contour_segments, edge_segments
 
-__all__ = ["BoundarySample", "Discrete", "SilhouetteCurves", "SilhouettePoint", "outward"]
+__all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "outward"]
 
 #: Newton steps to the contour: from a chord over a cell three give float32.
 _STEPS = 4
@@ -31,27 +32,6 @@ class SilhouettePoint:
     n: Any  #: Vector3f, unit, across the curve and the direction of view, away from the surface
     is_edge: Any  #: Bool
     valid: Any  #: Bool
-
-
-@dataclass
-class BoundarySample:
-    """A line that touches a shape."""
-
-    # Dr.Jit selects between records only if they have defaults
-    patch: Any = None  #: UInt, number among the patches of the structure
-    u: Any = None
-    v: Any = None
-    p: Any = None  #: Point3f
-    d: Any = None  #: Vector3f, unit, along the line
-    n: Any = None  #: Vector3f, unit, across the line, away from the surface
-    density: Any = None  #: Float, the curvature in direction d, or the sine between d and edge
-    pdf: Any = None  #: Float, by area and angle, or by length and solid angle
-    is_edge: Any = None  #: Bool
-    valid: Any = None  #: Bool
-
-    DRJIT_STRUCT = dict.fromkeys(
-        ("patch", "u", "v", "p", "d", "n", "density", "pdf", "is_edge", "valid"), Any
-    )
 
 
 class Discrete:
@@ -180,7 +160,7 @@ class SilhouetteCurves:
             def newton(k: Any, height: Any) -> tuple:
                 q = foot + height * across
                 h = evaluate_second(tables.nets, tables.degree, patch, q.x, q.y, active)
-                f, fu, fv = _facing(h, eye)
+                f, fu, fv = facing(h, eye)
                 slope = fu * across.x + fv * across.y
                 step = dr.select(is_edge | (slope == 0), 0.0, f / slope)
                 return k + 1, dr.clip(height - step, -1.0, 1.0)
@@ -193,7 +173,7 @@ class SilhouetteCurves:
             )
             q = foot + height * across
             h = evaluate_second(tables.nets, tables.degree, patch, q.x, q.y, active)
-            _f, fu, fv = _facing(h, eye)
+            _f, fu, fv = facing(h, eye)
             along = fu * chord.x + fv * chord.y
             slope = fu * across.x + fv * across.y
             dq = chord - dr.select(is_edge | (slope == 0), 0.0, along / slope) * across
@@ -202,6 +182,8 @@ class SilhouetteCurves:
         d = dr.normalize(p - eye)
         n, _curvature = outward(h, d)
         n = dr.select(is_edge, _edge_normal(d, tangent, pu, pv, q), n)
+        if self.data.trim is not None:
+            active = active & mi.Bool(keep(self.data.trim, patch, q.x, q.y, active))
         valid = active & dr.isfinite(dr.squared_norm(n)) & dr.isfinite(dr.squared_norm(tangent))
         return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid)
 
@@ -217,7 +199,7 @@ def _edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:
     return dr.select(dr.dot(n, inside) > 0, -n, n)
 
 
-def _facing(h: list[list[Any]], eye: Any) -> tuple[Any, Any, Any]:
+def facing(h: list[list[Any]], eye: Any) -> tuple[Any, Any, Any]:
     """Return ``det(X, X_u, X_v, eye)`` and its partials by the parameters."""
     y, yu, yv, yuu, yuv, yvv = (mi.Vector3f(*x[:3]) - x[3] * eye for x in h)
     return (

@@ -222,8 +222,8 @@ class SurfaceSampling:
         ps.delta = False
         return ps
 
-    def pdf(self, which: Any, patch: Any, uv: Any, active: Any) -> Any:
-        """Return the density by area at parameters `uv` of a patch (numbered as a hit's)."""
+    def _cell(self, which: Any, patch: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return the cell that parameters are in, and the place in it."""
         first, r, offset, _count = self._row(which, active)
         last = mi.Int32(r) - 1
         x, y = uv.x * mi.Float(r), uv.y * mi.Float(r)
@@ -233,7 +233,32 @@ class SurfaceSampling:
         down = (a + b > 1.0) & (i + j < last)
         a, b = dr.select(down, 1.0 - a, a), dr.select(down, 1.0 - b, b)
         cell = ((patch - first) * r + mi.UInt32(i)) * r + mi.UInt32(j)
-        cell = offset + 2 * cell + dr.select(down, mi.UInt32(1), 0)
+        return offset + 2 * cell + dr.select(down, mi.UInt32(1), 0), a, b
+
+    def invert(self, which: Any, patch: Any, uv: Any, active: Any) -> Any:
+        """Return a number of the unit square that `sample_parameters` maps to these parameters.
+
+        Of the three that there are, that of the part with the highest density.
+        """
+        cell, a, b = self._cell(which, patch, uv, active)
+        offset = self._row(which, active)[2]
+        c = self._corners(cell, active)
+        part = [c[0] * (1.0 - a - b), c[1] * a, c[2] * b]
+        first = (part[0] >= part[1]) & (part[0] >= part[2])
+        second = ~first & (part[1] >= part[2])
+        beta = dr.select(first, 1.0 - a - b, dr.select(second, a, b))
+        rest = dr.maximum(1.0 - beta, 1e-12)
+        y = dr.clip(dr.select(second, 1.0 - b / rest, a / rest), 0.0, 1.0)
+        below = dr.select(first, 0.0, dr.select(second, c[0], c[0] + c[1]))
+        own = dr.select(first, c[0], dr.select(second, c[1], c[2]))
+        upper = dr.gather(mi.Float, self.cdf, cell, active)
+        lower = dr.gather(mi.Float, self.cdf, cell - 1, active & (cell > offset))
+        x = dr.fma(beta * beta * (3.0 - 2.0 * beta), upper - lower, lower)
+        return mi.Point2f(x, dr.fma(y, own, below) / (c[0] + c[1] + c[2]))
+
+    def pdf(self, which: Any, patch: Any, uv: Any, active: Any) -> Any:
+        """Return the density by area at parameters `uv` of a patch (numbered as a hit's)."""
+        cell, a, b = self._cell(which, patch, uv, active)
         c = self._corners(cell, active)
         linear = dr.fma(a, c[1] - c[0], dr.fma(b, c[2] - c[0], c[0]))
         _point, _n, density = self.data.tables.point_and_normal(patch, uv.x, uv.y, active)
