@@ -12,7 +12,8 @@ import pytest
 from mitsuba_cases import ball_rays, bezier, numbers, ray_of, tensor
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.errors import BezierError
+from mitsuba_bezier import io
+from mitsuba_bezier.errors import BezierError, FileFormatError
 from mitsuba_bezier.geometry import bernstein
 
 PATCHES = 8  # octants
@@ -248,6 +249,92 @@ def test_invalid_updates_keep_the_last_state(key, value, message):
     else:
         expected = on_patches(good[key], patch, uv)[:, 0]
         assert np.abs(np.array(shape.eval_attribute_1(key, si)) - expected).max() < NEAR
+
+
+# ---------------------------------------------------------------- files
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "appended"])
+def test_files_carry_them(tmp_path, encoding):
+    patches = mb.sphere(cover="octants")
+    weight = random(PATCHES, 15, 1)
+    tables = {"texcoords": CORNERS, "face_colour": FACE, "vertex_weight": weight}
+    path = tmp_path / "ball.vtu"
+    io.save(patches, path, encoding=encoding, attributes=tables)
+    assert io.load(path) == patches
+    back = io.load_attributes(path)
+    assert set(back) == set(tables)
+    for name, values in tables.items():
+        # texture coordinates of the inner points are rounded combinations
+        assert np.abs(back[name] - values).max() < 1e-15, name
+    shape = mi.load_dict({"type": "beziertriangle", "filename": str(path)})
+    si, patch, uv = some_hits(shape)
+    assert np.abs(numbers(si.uv) - on_patches(CORNERS, patch, uv)).max() < NEAR
+    assert np.abs(numbers(shape.eval_attribute_3("face_colour", si)) - FACE[patch]).max() < NEAR
+    got = np.array(shape.eval_attribute_1("vertex_weight", si))
+    assert np.abs(got - on_patches(weight, patch, uv)[:, 0]).max() < NEAR
+    # parameters replace what the file says
+    other = mi.load_dict(
+        {"type": "beziertriangle", "filename": str(path), "texcoords": tensor(1 - CORNERS)}
+    )
+    si, patch, uv = some_hits(other)
+    assert np.abs(numbers(si.uv) - on_patches(1 - CORNERS, patch, uv)).max() < NEAR
+
+
+def test_several_pieces_and_shared_points(tmp_path):
+    # two triangles that share an edge, and a third in another piece; ascii as a person writes it
+    def piece(points: str, cells: str, count: int, uv: str, face: str) -> str:
+        return f"""<Piece NumberOfPoints="{len(points.split()) // 3}" NumberOfCells="{count}">
+        <PointData TCoords="where"><DataArray type="Float32" Name="where"
+          NumberOfComponents="3">{uv}</DataArray></PointData>
+        <CellData><DataArray type="Float32" Name="face_number">{face}</DataArray></CellData>
+        <Points><DataArray type="Float32" NumberOfComponents="3">{points}</DataArray></Points>
+        <Cells><DataArray type="Int32" Name="connectivity">{cells}</DataArray>
+        <DataArray type="Int32" Name="offsets">{" ".join(str(3 * k + 3) for k in range(count))}
+        </DataArray><DataArray type="UInt8" Name="types">{"76 " * count}</DataArray></Cells>
+        </Piece>"""
+
+    text = (
+        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian">'
+        "<UnstructuredGrid>"
+        + piece("0 0 0 1 0 0 0 1 0 1 1 0", "0 1 2 1 3 2", 2, "0 0 9 1 0 9 0 1 9 1 1 9", "5 6")
+        + piece("0 0 1 1 0 1 0 1 1", "0 1 2", 1, ".5 .5 9 .6 .5 9 .5 .7 9", "7")
+        + "</UnstructuredGrid></VTKFile>"
+    )
+    path = tmp_path / "three.vtu"
+    path.write_text(text.replace("<DataArray ", '<DataArray format="ascii" '))
+    found = io.load_attributes(path)
+    assert found["face_number"].tolist() == [[5], [6], [7]]
+    expected = [
+        [[0, 0], [1, 0], [0, 1]],
+        [[1, 0], [1, 1], [0, 1]],
+        [[0.5, 0.5], [0.6, 0.5], [0.5, 0.7]],
+    ]
+    assert np.abs(found["texcoords"] - expected).max() < 1e-7
+    assert len(io.load(path)) == 3
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({"texcoords": np.zeros((7, 3, 2))}, "texcoords: expected shape (8, 3, 2), got (7, 3, 2)"),
+        ({"face_a": np.zeros(8)}, "face_a: expected shape (8, C), got (8,)"),
+        ({"vertex_a": np.zeros((8, 3, 1))}, "vertex_a: expected shape (8, 15, C), got (8, 3, 1)"),
+        ({"colour": FACE}, 'attributes: expected names "texcoords", "face_..." or "vertex_..."'),
+    ],
+)
+def test_what_cannot_be_written(tmp_path, attributes, message):
+    with pytest.raises(FileFormatError, match=re.escape(message)):
+        io.save(mb.sphere(cover="octants"), tmp_path / "a.vtu", attributes=attributes)
+
+
+def test_files_without_them(tmp_path):
+    mb.sphere().save(tmp_path / "plain.vtu")
+    assert io.load_attributes(tmp_path / "plain.vtu") == {}
+    io.save([mb.sphere(), mb.sphere().elevate()], tmp_path / "two.vtu")
+    assert io.load_attributes(tmp_path / "two.vtu") == {}
+    mb.sphere().save(tmp_path / "plain.bv")
+    assert io.load_attributes(tmp_path / "plain.bv") == {}
 
 
 # ---------------------------------------------------------------- errors

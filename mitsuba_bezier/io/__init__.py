@@ -12,6 +12,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import FileFormatError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
@@ -24,6 +26,7 @@ __all__ = [
     "Report",
     "known_suffixes",
     "load",
+    "load_attributes",
     "load_groups",
     "load_trimmed",
     "read",
@@ -52,7 +55,7 @@ _READERS = {
     ".vtu": "vtu.read",
 }
 #: Options of the writers, by suffix.
-_OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims")}
+_OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims", "attributes")}
 #: Suffixes of the formats whose patches can have trims.
 _TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".step", ".stp", ".vtu")
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}
@@ -125,6 +128,27 @@ def load_groups(path: str | PathLike[str]) -> list[BezierTriangles]:
     return model.groups
 
 
+def load_attributes(path: str | PathLike[str]) -> dict[str, np.ndarray]:
+    """Read texture coordinates and attributes of the patches that `load` returns.
+
+    Returns
+    -------
+    dict
+        ``texcoords`` ``(P, 3, 2)``, ``face_...`` ``(P, C)``, ``vertex_...`` ``(P, K, C)``, as far
+        as the file has them. Only ``.vtu`` files can.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing or damaged.
+    """
+    if Path(path).suffix.lower() != ".vtu":
+        return {}
+    from .vtu_attributes import read_attributes
+
+    return read_attributes(path)
+
+
 def load_trimmed(path: str | PathLike[str]) -> tuple[BezierTriangles, Trims | None]:
     """Read a file as `load` does, but with trims where its faces have any.
 
@@ -166,7 +190,8 @@ def save(
     path : path
         The file; its suffix tells the format.
     **options
-        Those of the format: ``encoding`` and ``trims`` for ``.vtu``, ``chord_error`` for ``.ply``.
+        Those of the format: ``encoding``, ``trims`` and ``attributes`` for ``.vtu``,
+        ``chord_error`` for ``.ply``.
 
     Raises
     ------

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from .files import write_bytes
 from .lattices import triangle_lattice
 from .trim_arrays import packed_trims
 from .vtu import HOMOGENEOUS, TRIM_ARRAYS
+from .vtu_attributes import TCOORDS, vtk_arrays
 
 __all__ = ["point_order", "write"]
 
@@ -42,6 +44,7 @@ def write(
     path: str | PathLike[str],
     encoding: str = "appended",
     trims: Trims | Sequence[Trims | None] | None = None,
+    attributes: Mapping[str, Any] | None = None,
 ) -> None:
     """Write Bézier triangles as a ``.vtu`` file that VTK and ParaView show.
 
@@ -57,12 +60,15 @@ def write(
     trims : Trims, or list of (Trims or None), optional
         The trims of the patches, for each item of a list of `triangles`. They are kept in arrays
         of our own (see `vtu`): other programs show the patches whole.
+    attributes : mapping, optional
+        Texture coordinates ``texcoords`` ``(P, 3, 2)``, attributes ``face_...`` ``(P, C)`` and
+        ``vertex_...`` ``(P, K, C)`` of one item of `triangles`; see `vtu_attributes`.
 
     Raises
     ------
     FileFormatError
-        If the encoding is unknown, trims are not those of the patches, or the file cannot be
-        written.
+        If the encoding is unknown, trims or attributes are not those of the patches, or the
+        file cannot be written.
     """
     if encoding not in ("appended", "binary", "ascii"):
         raise FileFormatError.expected(
@@ -72,6 +78,9 @@ def write(
     if not groups:
         raise FileFormatError.expected("triangles", "at least one BezierTriangles", "none")
     every = _trims(groups, trims)
+    if attributes and len(groups) > 1:
+        raise FileFormatError.expected("attributes", "patches of one degree", len(groups))
+    own_points, own_cells = vtk_arrays(groups[0], attributes or {})
     nets = [g.control_points[:, point_order(g.degree)] for g in groups]
     homogeneous = np.concatenate([net.reshape(-1, 4) for net in nets])
     sizes = np.concatenate([np.full(len(net), net.shape[1]) for net in nets])
@@ -89,7 +98,10 @@ def write(
         weights, homogeneous[:, 3]
     ):
         point_data.append(out.array(HOMOGENEOUS, homogeneous, "Float64"))
-    cell_data: list[str] = []
+    if TCOORDS in own_points:
+        flag += f' {TCOORDS}="{TCOORDS}"'
+    point_data += [out.array(name, a, "Float64") for name, a in own_points.items()]
+    cell_data = [out.array(name, a, "Float64") for name, a in own_cells.items()]
     field_data: list[str] = []
     if every is not None:
         for key, values in packed_trims(every).items():
@@ -99,6 +111,7 @@ def write(
                 out.array(own.name, values, kind, tuples=own.field)
             )
         field_data = ["<FieldData>", *field_data, "</FieldData>"]
+    if cell_data:
         cell_data = ["<CellData>", *cell_data, "</CellData>"]
     body = [
         *field_data,

@@ -280,7 +280,7 @@ def make_aov_class() -> type:
                 film = list(range(own)) if k == 0 else [own + 4 * k + c for c in colours]
                 film += range(place, place + extra)
                 place += extra
-                inner = range(own + extra)
+                inner = list(range(own + extra))
                 if isinstance(nested, BezierAOV):
                     inner = nested._layout(own)[0]
                 parts.append(list(range(len(order), len(order) + len(inner))))
