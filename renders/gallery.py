@@ -71,6 +71,8 @@ PICTURES = (
     Picture("decasteljau", "decasteljau", 512, 288, 64, "De Casteljau's scheme of a cubic"),
     Picture("farin", "farin", 512, 288, 64, "Farin points: evaluation by cross ratios"),
     Picture("relief", "relief", 512, 288, 128, "Relief perspective of a lute"),
+    Picture("cad_part", "cad_part", 512, 384, 256, "A part from a STEP file, holes cut exactly"),
+    Picture("high_order_mesh", "high_order_mesh", 512, 384, 256, "A quartic mesh from Gmsh"),
 )
 
 
