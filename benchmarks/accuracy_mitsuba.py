@@ -39,6 +39,7 @@ COVERS = (
     ("octants", None),
     ("lunes", None),
     ("tetrahedral", GENERAL),
+    ("octants", GENERAL),
 )
 
 

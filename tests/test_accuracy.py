@@ -39,7 +39,9 @@ def lines(suite, row: str, scale: float, *choice):
 
 
 def test_spheres_are_as_exact_as_the_native_one(suite):
-    lines(suite, "spheres", 0.005, (("tetrahedral", None), ("octants", None)))
+    from accuracy_tools import GENERAL
+
+    lines(suite, "spheres", 0.005, (("tetrahedral", None), ("octants", None), ("octants", GENERAL)))
 
 
 def test_closed_covers_do_not_leak(suite):

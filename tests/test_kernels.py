@@ -273,6 +273,20 @@ def test_quadrics_in_closed_form(kind):
     assert off < (3e-7 if "float32" in kind else 1e-13)
 
 
+@pytest.mark.parametrize("kind", ["float32", "float64"])
+def test_octants_through_their_quadric(kind):
+    patches = mb.sphere(cover="octants").transform(np.diag([1.0, 2.0, 0.5, 1]))
+    # a bent patch of degree 5 beside: then the nets of octants are padded
+    both = mb.BezierTriangles.join([patches.elevate(1), random_nets(5, 1, seed=5)])
+    off, structure = check_hits(patches, FLOATS[kind], 1)
+    assert structure.has_sections and structure.graph_count == 0
+    # the parameters come from nets in float32, by an iteration
+    assert off < (3e-7 if kind == "float32" else 1e-7)
+    off, structure = check_hits(both, FLOATS[kind], 2)
+    assert structure.has_sections and structure.has_affine
+    assert off < (3e-7 if kind == "float32" else 1e-7)
+
+
 def test_quadrics_as_graph_leaves():
     patches = mb.sphere(cover="tetrahedral").transform(np.diag([1.0, 2.0, 0.5, 1]))
     off, structure = check_hits(patches, llvm.Float, 1, LeafSettings(closed_form=False))

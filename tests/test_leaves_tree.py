@@ -349,11 +349,46 @@ def test_planar_triangles_have_a_closed_form():
 
 def test_other_nets_have_no_closed_form():
     assert not build_leaves(wavy(2, 30)).exact.any()
-    assert not build_leaves(mb.sphere(cover="octants")).exact.any()
+    assert not build_leaves(mb.torus()).exact.any()
     ball = mb.sphere(cover="tetrahedral").control_points
     rng = np.random.default_rng(3)
     bent = mb.BezierTriangles(ball * (1 + 1e-4 * rng.normal(size=ball.shape)))
     assert not build_leaves(bent).exact.any()
+
+
+def ellipsoid(rng):
+    affine = np.eye(4)
+    affine[:3] += 0.4 * rng.normal(size=(3, 4))
+    return mb.sphere(cover="octants").transform(affine)
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_octants_of_ellipsoids_are_met_through_their_quadric(rounded):
+    patches = ellipsoid(np.random.default_rng(5)).elevate(1)
+    if rounded:
+        patches = mb.BezierTriangles(patches.control_points.astype(np.float32))
+    leaves = build_leaves(patches)
+    assert leaves.exact.all() and len(leaves) == 8 and len(np.unique(leaves.group)) == 1
+    assert not build_leaves(patches, LeafSettings(sections=False)).exact.any()
+    # the planes' values tell the octants apart, and are zero on the edges only
+    uv = np.random.default_rng(6).dirichlet(np.ones(3), 40)[:, :2]
+    for leaf, patch in enumerate(leaves.patch):
+        for other in range(8):
+            p = patches.points(np.full(40, other), uv) - leaves.shift[leaf]
+            inside = (p @ leaves.frame[leaf, :3, :3].T + leaves.frame[leaf, :3, 3] > 0).all(axis=1)
+            assert inside.all() if other == patch else not inside.any()
+
+
+def test_patches_near_to_octants_have_no_closed_form():
+    net = mb.sphere(cover="octants").control_points
+    rng = np.random.default_rng(4)
+    bent = mb.BezierTriangles(net * (1 + 1e-5 * rng.normal(size=net.shape)))
+    assert not build_leaves(bent).exact.any()
+    # an octant in other parameters of degree 8: its edges stay plane, so it has one
+    assert build_leaves(mb.BezierTriangles(net).elevate(4)).exact.all()
+    # a part of one, cut out along curves that are not plane
+    domain = np.array([[0.8, 0.1, 0.1], [0.2, 0.6, 0.2], [0.1, 0.2, 0.7]])
+    assert not build_leaves(mb.BezierTriangles(net).subtriangle(domain)).exact.any()
 
 
 def test_one_quadric_is_met_once():

@@ -118,7 +118,7 @@ def _below_float32(box: np.ndarray, singular: np.ndarray) -> np.ndarray:
 def _flat(nets: np.ndarray) -> np.ndarray:
     """Tell which nets with weights of one sign are planar but for `_FLAT`."""
     w = nets[..., 3]
-    finite = (w > 0).all(axis=1) | (w < 0).all(axis=1)
+    finite = np.logical_or((w > 0).all(axis=1), (w < 0).all(axis=1))
     p = _affine(np.where(finite[:, None, None], nets, 1.0))
     size = np.abs(p).max(axis=2).min(axis=1)  # the nearest: a leaf may reach far out
     p = p - p.mean(axis=1, keepdims=True)

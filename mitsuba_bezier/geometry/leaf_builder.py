@@ -7,6 +7,7 @@ import numpy as np
 from .exact_leaves import exact_leaves
 from .graph_leaves import subdivide
 from .leaves import LeafSettings, Leaves
+from .section_leaves import section_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["build_leaves"]
@@ -35,10 +36,14 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     numbers = np.arange(len(patches))
     parts: list[Leaves] = []
     if settings.closed_form:
-        found, exact = exact_leaves(patches)
-        if len(exact) or not len(nets):
-            parts.append(exact)
-        numbers, nets = numbers[~found], nets[~found]
+        for find in (exact_leaves, section_leaves)[: 2 if settings.sections else 1]:
+            if not len(numbers):
+                break
+            found, exact = find(patches[numbers])
+            if len(exact):
+                exact.patch = numbers[exact.patch]
+                parts.append(exact)
+            numbers, nets = numbers[~found], nets[~found]
     for first in range(0, len(numbers), _CHUNK):
         chunk = slice(first, first + _CHUNK)
         parts.extend(subdivide(nets[chunk], numbers[chunk], settings))

@@ -9,7 +9,9 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     A whole patch whose inverse is linear: three rows take a point ``(p - shift, 1)`` of the
     patch to a multiple of its barycentrics, and the patch lies on a quadric, whose matrix we
     store. Every intersection has a closed form. All patches of `quadric_patch` and all planar
-    triangles of degree one are of this kind.
+    triangles of degree one are of this kind. So are patches of higher degree on an ellipsoid
+    whose edges are plane sections: then the rows give the planes, and the net stores their values
+    on the patch, from which the parameters are found.
 *graph* leaves
     Everything else, subdivided until the bounds below are small. For them we store the
     quadratic ``a xy + b x(1-x-y) + c y(1-x-y)`` next to ``h`` and
@@ -36,7 +38,7 @@ import numpy as np
 
 from . import bernstein
 
-__all__ = ["DEVIATION", "FORM", "FORM_ENTRIES", "LEAST", "LeafSettings", "Leaves"]
+__all__ = ["DEVIATION", "FORM", "FORM_ENTRIES", "LEAST", "SECTION", "LeafSettings", "Leaves"]
 
 
 #: Numbers in `Leaves.form`.
@@ -49,6 +51,10 @@ LEAST = 10
 
 #: Place of the largest distance of an exact leaf's patch from its quadric, in patch sizes.
 DEVIATION = 11
+
+#: Place of the mark of an exact leaf whose frame gives planes, not barycentrics: those need a few
+#: steps of Newton's method, on the net.
+SECTION = 12
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
 FORM_ENTRIES = (
@@ -84,6 +90,9 @@ class LeafSettings:
         Subdivision ends here whatever the bounds say.
     closed_form : bool
         Whether patches with a linear inverse become exact leaves.
+    sections : bool
+        Whether patches of higher degree on an ellipsoid, between plane sections, do. Not where
+        the parameters of every hit are needed, as for trimmed patches.
     """
 
     lateral: float = 0.5
@@ -92,6 +101,7 @@ class LeafSettings:
     weight: float = 0.3
     max_depth: int = 15
     closed_form: bool = True
+    sections: bool = True
 
 
 @dataclass
@@ -104,7 +114,7 @@ class Leaves:
     shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
     frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: u, v, w, 0) on (p - shift, 1)
     form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric and more)
-    net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1); zero for exact leaves
+    net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1) (exact: planes or 0)
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
     certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold
     group: np.ndarray  #: (L,) exact leaves with the same number share their quadric; else -1

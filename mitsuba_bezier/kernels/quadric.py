@@ -95,7 +95,8 @@ def group_hit(
         # Compared before a division: near the centre of projection all four are roundings.
         # Only patches that reach the centre, the lunes, may have a hit there.
         size = dr.abs(total)
-        signed = [dr.mulsign(b, total) for b in bary]
+        sign = dr.select(m[14] > 0.0, m[14], total)  # planes have sides, barycentrics have not
+        signed = [dr.mulsign(b, sign) for b in bary]
         lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
         return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
 

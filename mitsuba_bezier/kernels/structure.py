@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import DEVIATION, LEAST, Leaves
+from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
 from ..geometry.tree import build_tree
 from .arrays import types_of, upload
 
@@ -28,9 +28,10 @@ PROJECTIVE = 24
 HEAD = 8
 #: Float64 in a group: quadric 10, shift 3, first member, number of members, `DEVIATION`.
 GROUP = 16
-#: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`.
+#: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`, `SECTION`.
 MEMBER = 16
-#: Floats in a domain record: leaf-to-patch map 9, then as bits the patch, and 1 + the trim cell.
+#: Floats in a domain record: leaf-to-patch map 9, then as bits the patch, and 1 + the trim cell;
+#: `SECTION`.
 DOMAIN = 16
 
 #: Bounds are stored as ``code**2 * BOUND_UNIT`` in 16 bits, rounded up: from 1e-9 to 4.
@@ -56,11 +57,13 @@ class Structure:
     groups: Any  #: Float64, x `GROUP`
     members: Any  #: Float32, x `MEMBER`
     rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
+    planes: Any  #: Float32, x K * 4: the values of the rows on each member, if there are sections
     domain: Any  #: Float32, x `DOMAIN`
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
     affine_count: int
     graph_count: int  #: affine and projective
     group_count: int
+    has_sections: bool  #: whether parameters of some exact leaves take an iteration
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
@@ -130,6 +133,7 @@ def build_structure(
     nodes[..., 6] = (skip + base).astype(np.uint32).view(np.float32)
     nodes[..., 7] = leaf.view(np.float32)
 
+    sections = bool((leaves.form[exact, SECTION] > 0).any())
     arrays = {
         "nodes": nodes,
         "affine": _affine_records(leaves, affine),
@@ -139,6 +143,7 @@ def build_structure(
         "groups": _groups(leaves, exact, group_first, group_size),
         "members": _members(leaves, exact, len(graph)),
         "rows": np.pad(leaves.frame[exact, :3].reshape(-1, 12), ((0, 0), (0, MEMBER - 12))),
+        "planes": _planes(leaves, exact) if sections else np.zeros((0, 8), dtype=np.float32),
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
     return Structure(
@@ -153,6 +158,7 @@ def build_structure(
         affine_count=len(affine),
         graph_count=len(graph),
         group_count=len(group_first),
+        has_sections=sections,
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values()) + (trims[0].bytes if trims else 0),
         trim=None if trims is None else trims[0],
@@ -221,7 +227,15 @@ def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     scale = scale + np.linalg.norm(rows[..., 3], axis=1)
     out[:, :12] = (rows / scale[:, None, None]).reshape(-1, 12)
     out[:, 13] = leaves.form[exact, LEAST] / scale
+    out[:, 14] = leaves.form[exact, SECTION]
     out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
+    return out
+
+
+def _planes(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
+    width = leaves.net.shape[1] * 4
+    out = np.zeros((len(exact), -(-width // 8) * 8), dtype=np.float32)
+    out[:, :width] = leaves.net[exact].reshape(len(exact), width)
     return out
 
 
@@ -234,6 +248,7 @@ def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.n
     out = np.zeros((len(order), DOMAIN), dtype=np.float32)
     out[:, :9] = leaves.domain[order].reshape(-1, 9)
     out[:, 9] = leaves.patch[order].astype(np.uint32).view(np.float32)
+    out[:, 11] = np.where(leaves.exact[order], leaves.form[order, SECTION], 0.0)
     if cells is not None:
         out[:, 10] = (cells[order] + 1).astype(np.uint32).view(np.float32)
     return out

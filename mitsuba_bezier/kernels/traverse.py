@@ -10,6 +10,7 @@ from ..geometry.tree import NO_LEAF
 from .arrays import Types, dot3, gather_packets, types_of
 from .graph import ChartLine, cull, march
 from .quadric import group_hit
+from .section import section_parameters
 from .structure import DOMAIN, NODE, Structure
 
 __all__ = ["Hit", "intersect"]
@@ -117,6 +118,8 @@ def intersect(
         return Hit(valid, t, ty.UInt(0), zero, zero)
     m = gather_packets(s.domain, dr.select(valid, leaf, 0), DOMAIN, valid)
     patch = dr.reinterpret_array(ty.UInt, m[9])
+    if s.has_sections:
+        u, v = section_parameters(s, ty, leaf, u, v, valid & (m[11] > 0.0))
     if s.has_affine or s.has_projective:
         w = 1.0 - u - v
         bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]

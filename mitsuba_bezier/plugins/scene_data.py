@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import BezierError
 from ..geometry.leaf_builder import build_leaves
-from ..geometry.leaves import Leaves
+from ..geometry.leaves import LeafSettings, Leaves
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
@@ -51,7 +51,7 @@ class SceneData:
         parts, patch_shape, patch_first = [], [], []
         first = 0
         for number, shape in enumerate(shapes):
-            leaves = build_leaves(shape.patches)
+            leaves = build_leaves(shape.patches, LeafSettings(sections=shape.trims is None))
             leaves.patch = leaves.patch + first
             parts.append(leaves)
             patch_shape += [number] * len(shape.patches)
