@@ -79,9 +79,9 @@ def _topology(boxes: np.ndarray) -> tuple:
         levels.append(nodes)
         length = stop - start
         member = np.repeat(np.arange(len(nodes)), length)
-        slots = np.concatenate([np.arange(a, b) for a, b in zip(start, stop)])
-        items = order[slots]
         offsets = np.concatenate([[0], np.cumsum(length)[:-1]])
+        slots = np.arange(length.sum()) + np.repeat(start - offsets, length)
+        items = order[slots]
         bounds[nodes, 0] = np.minimum.reduceat(boxes[items, 0], offsets)
         bounds[nodes, 1] = np.maximum.reduceat(boxes[items, 1], offsets)
         single = length == 1
@@ -117,16 +117,50 @@ def _split(
     length: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Choose for each node an axis and the size of its left part; return the items sorted."""
-    nodes = len(length)
     points = centre[items]
     low = np.minimum.reduceat(points, offsets)
     extent = np.maximum.reduceat(points, offsets) - low
     with np.errstate(divide="ignore", invalid="ignore"):
         scaled = (points - low[member]) / extent[member] * _BINS
     bins = np.clip(np.nan_to_num(scaled), 0, _BINS - 1).astype(np.int64)
-
-    best_cost = np.full(nodes, np.inf)
     best_axis = extent.argmax(axis=1)
+    best_bin = np.full(len(length), -1, dtype=np.int64)
+    large = np.flatnonzero(length > 2)  # two leaves need no choice, and they are most nodes
+    if len(large):
+        wanted = np.repeat(length > 2, length)
+        number = np.repeat(np.arange(len(large)), length[large])
+        best_axis[large], best_bin[large] = _best_bins(
+            boxes[items[wanted]], bins[wanted], number, best_axis[large]
+        )
+
+    coordinate = points[np.arange(len(items)), best_axis[member]]
+    chosen = bins[np.arange(len(items)), best_axis[member]]
+    by_place = np.lexsort((coordinate, member))
+    left_count = np.bincount(member, weights=chosen <= best_bin[member], minlength=len(length))
+    left_count = left_count.astype(np.int64)
+    # all centres in one place, or a lopsided bin: halve
+    halve = (best_bin < 0) | (left_count == 0) | (left_count == length)
+    return best_axis, np.where(halve, length // 2, left_count), items[by_place]
+
+
+def _best_bins(
+    boxes: np.ndarray, bins: np.ndarray, member: np.ndarray, best_axis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each node the axis and the last bin of the cheapest left part, -1 if none.
+
+    Parameters
+    ----------
+    boxes : (I, 2, 3) array
+        Boxes of the leaves, node by node.
+    bins : (I, 3) array
+        Their bins along each axis.
+    member : (I,) array
+        Their nodes.
+    best_axis : (N,) array
+        The axis where no part is better than another.
+    """
+    nodes = len(best_axis)
+    best_cost = np.full(nodes, np.inf)
     best_bin = np.full(nodes, -1, dtype=np.int64)
     for a in range(3):
         key = member * _BINS + bins[:, a]
@@ -136,8 +170,8 @@ def _split(
         filled = sorted_key[first]
         lo = np.full((nodes * _BINS, 3), np.inf)
         hi = np.full((nodes * _BINS, 3), -np.inf)
-        lo[filled] = np.minimum.reduceat(boxes[items[by_key], 0], first)
-        hi[filled] = np.maximum.reduceat(boxes[items[by_key], 1], first)
+        lo[filled] = np.minimum.reduceat(boxes[by_key, 0], first)
+        hi[filled] = np.maximum.reduceat(boxes[by_key, 1], first)
         number = np.bincount(key, minlength=nodes * _BINS).reshape(nodes, _BINS)
         lo_b, hi_b = lo.reshape(nodes, _BINS, 3), hi.reshape(nodes, _BINS, 3)
         n_left = np.cumsum(number, axis=1)
@@ -154,15 +188,7 @@ def _split(
         best_cost = np.where(better, value, best_cost)
         best_axis = np.where(better, a, best_axis)
         best_bin = np.where(better, where, best_bin)
-
-    coordinate = points[np.arange(len(items)), best_axis[member]]
-    chosen = bins[np.arange(len(items)), best_axis[member]]
-    by_place = np.lexsort((coordinate, member))
-    left_count = np.bincount(member, weights=chosen <= best_bin[member], minlength=nodes)
-    left_count = left_count.astype(np.int64)
-    # all centres in one place, or a lopsided bin: halve
-    halve = (best_bin < 0) | (left_count == 0) | (left_count == length)
-    return best_axis, np.where(halve, length // 2, left_count), items[by_place]
+    return best_axis, best_bin
 
 
 def _area(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
