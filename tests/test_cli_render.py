@@ -160,7 +160,7 @@ def test_all_channels_of_an_aov_integrator(folder, capsys):
 def test_variables_and_nested_integrators_with_bezier_shapes(folder, capsys):
     mb.sphere().save(folder / "ball.vtu")
     aov = """<integrator type="aov">
-      <string name="aovs" value="dd:depth, i:prim_index, p:position, c:albedo"/>
+      <string name="aovs" value="dd:depth, i:prim_index, p:position, c:albedo, b:boundary_test"/>
       <integrator type="path" name="image"><integer name="max_depth" value="3"/></integrator>
     </integrator>"""
     path = '<integrator type="path"><integer name="max_depth" value="3"/></integrator>'
@@ -181,6 +181,7 @@ def test_variables_and_nested_integrators_with_bezier_shapes(folder, capsys):
     assert found["dd.T"][12, 16] == pytest.approx(4, abs=0.05)
     assert found["i.I"].max() == 6  # four octants are seen from above
     # colours are halves, as the film says; depths, positions and numbers are not
+    assert found["b"].dtype == np.float32 and found["b"][0, 0] == 1
     types = {name: values.dtype for name, values in found.items()}
     assert types["dd.T"] == types["i.I"] == types["p.X"] == np.float32
     assert types["R"] == types["image.A"] == types["c.G"] == np.float16

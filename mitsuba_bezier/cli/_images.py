@@ -83,7 +83,11 @@ def write_preview(path: Path, bitmap: Any, exposure: float = 0.0) -> bool:
     mi = import_mitsuba()
     formats = mi.Bitmap.PixelFormat
     if bitmap.pixel_format() == formats.MultiChannel:
-        bitmap = bitmap.split()[0][1]
+        channels = channels_of(bitmap, half=False)
+        if {"R", "G", "B"} <= set(channels):  # maybe beside others that are in no layer
+            bitmap = mi.Bitmap(np.stack([channels[c] for c in "RGB"], axis=-1))
+        else:
+            bitmap = bitmap.split()[0][1]
         if bitmap.pixel_format() == formats.MultiChannel:
             return False
     colour = bitmap.convert(formats.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
