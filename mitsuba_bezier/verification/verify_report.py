@@ -48,9 +48,18 @@ def _depths(t: np.ndarray, near: float, far: float, side: int, largest: int) -> 
 
 
 def _map(title: str, values: np.ndarray, side: int, largest: int, note: str) -> HeatMap:
+    """Return a map of errors; a few outliers do not make all else black."""
     grid = _blocks(values.reshape(side, side), side, largest, True)
-    high = float(grid.max()) or 1.0
+    errors = grid[grid > 0]
+    high = float(np.quantile(errors, 0.998)) if errors.size else 1.0
     return heat_map(title, grid, 0.0, high, "magma", note)
+
+
+def _worst(values: np.ndarray, side: int, largest: int) -> tuple[int, int] | None:
+    """Return column and row of the pixel of `_map` with the largest error."""
+    grid = _blocks(values.reshape(side, side), side, largest, True)
+    row, column = np.unravel_index(int(grid.argmax()), grid.shape)
+    return (int(column), int(row)) if grid[row, column] > 0 else None
 
 
 def verify_entry(
@@ -123,7 +132,7 @@ def verify_entry(
             ],
             normal_checks,
             preview.difference_histogram(bent, ["x", "y", "z"]),
-            None,
+            _worst(angle, side, largest),
         ),
         Panel(
             "depth",
@@ -139,7 +148,7 @@ def verify_entry(
             ],
             depth_checks,
             preview.difference_histogram(signed, ["depth"]),
-            None,
+            _worst(error, side, largest),
         ),
     ]
     if any(c.passed is False for c in depth_checks):
