@@ -216,6 +216,9 @@ def _cached(key: tuple, make: Any) -> SceneData:
             "beziertriangle: expected a first ray query outside of recorded loops and calls, "
             "where the structure can be built; got it inside of one"
         )
+    # a state that a shape has left will not come again
+    for old in [k for k, d in _cache.items() if any(s.version not in k for s in d.shapes)]:
+        del _cache[old]
     data = make()
     _cache[key] = data
     while len(_cache) > _CACHE_SIZE:
