@@ -10,13 +10,13 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
-from ..geometry.tree import build_tree
+from ..geometry.tree import NO_LEAF, build_tree
 from .arrays import types_of, upload
 
 if TYPE_CHECKING:
     from .trim import TrimTable
 
-__all__ = ["Structure", "build_structure"]
+__all__ = ["Structure", "build_structure", "pack_nodes"]
 
 #: Floats in a tree node: near faces, far faces, skip, leaf (the last two as bits).
 NODE = 8
@@ -46,7 +46,7 @@ class Structure:
     leaves. Domain records follow the same order, with the members of groups at the end.
     """
 
-    nodes: Any  #: Float32, 8 octants x `node_count` x `NODE`
+    nodes: Any  #: Float32, for each object 8 octants x its number of nodes x `NODE`
     node_count: Any  #: UInt, opaque as the next two: kernels do not depend on the values
     first_projective: Any  #: UInt, number of the first leaf of the second kind
     first_group: Any  #: UInt, and of the third
@@ -64,6 +64,7 @@ class Structure:
     graph_count: int  #: affine and projective
     group_count: int
     has_sections: bool  #: whether parameters of some exact leaves take an iteration
+    trees: np.ndarray  #: (objects, 2): first node of each object's tree, nodes of one octant
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
@@ -85,7 +86,10 @@ class Structure:
 
 
 def build_structure(
-    leaves: Leaves, like: Any, trims: tuple[TrimTable, np.ndarray] | None = None
+    leaves: Leaves,
+    like: Any,
+    trims: tuple[TrimTable, np.ndarray] | None = None,
+    objects: np.ndarray | None = None,
 ) -> Structure:
     """Pack `leaves` for the array types of `like` (a Dr.Jit float array or type).
 
@@ -95,6 +99,8 @@ def build_structure(
     like : Float
     trims : pair of TrimTable and (L,) int array, optional
         The cells of the leaves, -1 for those that need no test.
+    objects : (L,) int array, optional
+        Which object each leaf belongs to, from 0 on; each gets a tree of its own.
     """
     ty = types_of(like)
     straight = (leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
@@ -121,18 +127,10 @@ def build_structure(
                 ),
             ]
         )
-    bounds, skip, leaf = build_tree(_padded(boxes))
-    n_nodes = skip.shape[1]
-    nodes = np.zeros((8, n_nodes, NODE), dtype=np.float32)
-    for octant in range(8):  # near and far faces, as the octant's directions meet them
-        for a in range(3):
-            turned = (octant >> a) & 1
-            nodes[octant, :, a] = bounds[octant, :, turned, a]
-            nodes[octant, :, 3 + a] = bounds[octant, :, 1 - turned, a]
-    base = np.arange(8, dtype=np.uint32)[:, None] * np.uint32(n_nodes)
-    nodes[..., 6] = (skip + base).astype(np.uint32).view(np.float32)
-    nodes[..., 7] = leaf.view(np.float32)
-
+    owner = None
+    if objects is not None:
+        owner = np.concatenate([objects[graph], objects[exact[group_first]]])
+    nodes, trees = pack_nodes(boxes, owner)
     sections = bool((leaves.form[exact, SECTION] > 0).any())
     arrays = {
         "nodes": nodes,
@@ -151,7 +149,8 @@ def build_structure(
             name: upload(ty.Float64 if a.dtype == np.float64 else ty.Float32, _at_least_one(a))
             for name, a in arrays.items()
         },
-        node_count=dr.opaque(ty.UInt, n_nodes),
+        node_count=dr.opaque(ty.UInt, int(trees[0, 1])),
+        trees=trees,
         first_projective=dr.opaque(ty.UInt, len(affine)),
         first_group=dr.opaque(ty.UInt, len(graph)),
         degree=bernstein.degree_of(leaves.net.shape[1]),
@@ -163,6 +162,40 @@ def build_structure(
         bytes=sum(a.nbytes for a in arrays.values()) + (trims[0].bytes if trims else 0),
         trim=None if trims is None else trims[0],
     )
+
+
+def pack_nodes(boxes: np.ndarray, owner: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Build the trees over boxes ``(L, 2, 3)``, one for each owner.
+
+    Returns
+    -------
+    nodes : (N, `NODE`) float32 array
+        The trees one after the other, for each the eight octants.
+    trees : (objects, 2) int array
+        Their first nodes and the numbers of nodes of one octant.
+    """
+    owner = np.zeros(len(boxes), dtype=int) if owner is None else owner
+    padded = _padded(boxes)
+    parts, trees = [], []
+    first = 0
+    for number in range(owner.max(initial=0) + 1):
+        mine = np.flatnonzero(owner == number)
+        bounds, skip, leaf = build_tree(padded[mine])
+        count = skip.shape[1]
+        nodes = np.zeros((8, count, NODE), dtype=np.float32)
+        for octant in range(8):  # near and far faces, as the octant's directions meet them
+            for a in range(3):
+                turned = (octant >> a) & 1
+                nodes[octant, :, a] = bounds[octant, :, turned, a]
+                nodes[octant, :, 3 + a] = bounds[octant, :, 1 - turned, a]
+        base = first + np.arange(8, dtype=np.uint32)[:, None] * np.uint32(count)
+        nodes[..., 6] = (skip + base).astype(np.uint32).view(np.float32)
+        leaf = np.where(leaf == NO_LEAF, NO_LEAF, mine[np.where(leaf == NO_LEAF, 0, leaf)])
+        nodes[..., 7] = leaf.astype(np.uint32).view(np.float32)
+        parts.append(nodes.reshape(-1, NODE))
+        trees.append((first, count))
+        first += 8 * count
+    return np.concatenate(parts), np.array(trees)
 
 
 def _at_least_one(a: np.ndarray) -> np.ndarray:

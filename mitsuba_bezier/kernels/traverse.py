@@ -13,7 +13,7 @@ from .quadric import group_hit
 from .section import section_parameters
 from .structure import DOMAIN, NODE, Structure
 
-__all__ = ["Hit", "intersect"]
+__all__ = ["Hit", "finish", "intersect", "next_leaf", "prepare", "search"]
 
 #: Slabs are widened by four roundings a face: of the difference, the product and, two, of the
 #: reciprocal (Ize, "Robust BVH Ray Traversal", 2013, who has three). The origin's coordinates
@@ -61,10 +61,22 @@ def intersect(
     ty = types_of(o[0])
     o, d = [ty.Float(o[i]) for i in range(3)], [ty.Float(d[i]) for i in range(3)]
     t_max = ty.Float(t_max)
+    active = ty.Bool(active) & is_ray(o, d, t_max)
+    octant, slabs = prepare(ty, o, d)
+    first = octant * s.node_count
+    t, leaf, u, v = search(s, ty, o, d, slabs, t_max, first, first + s.node_count, active, any_hit)
+    return finish(s, ty, t, leaf, u, v, active, any_hit)
+
+
+def is_ray(o: list[Any], d: list[Any], t_max: Any) -> Any:
+    """Tell which rays are rays; others, with NaN or without a direction, are misses."""
     length2 = dot3(d, d)
-    # a ray that is no ray is a miss: NaN fails all comparisons
-    finite = (dot3(o, o) < dr.inf) & (length2 > 0.0) & (length2 < dr.inf) & (t_max > 0.0)
-    active = ty.Bool(active) & finite
+    # NaN fails all comparisons
+    return (dot3(o, o) < dr.inf) & (length2 > 0.0) & (length2 < dr.inf) & (t_max > 0.0)
+
+
+def prepare(ty: Types, o: list[Any], d: list[Any]) -> tuple[Any, Slabs]:
+    """Return the octant of rays and what slab tests need."""
     octant = (
         dr.select(d[0] < 0.0, ty.UInt(1), 0)
         | dr.select(d[1] < 0.0, ty.UInt(2), 0)
@@ -78,7 +90,22 @@ def intersect(
         [-dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, o[a] * rcp[a]) for a in range(3)],
         [dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, -o[a] * rcp[a]) for a in range(3)],
     )
-    end = (octant + 1) * s.node_count
+    return octant, slabs
+
+
+def search(
+    s: Structure,
+    ty: Types,
+    o: list[Any],
+    d: list[Any],
+    slabs: Slabs,
+    t_max: Any,
+    first: Any,
+    end: Any,
+    active: Any,
+    any_hit: bool,
+) -> tuple[Any, Any, Any, Any]:
+    """Search the nodes from `first` to `end`; return t, leaf (or `NO_LEAF`), u, v of the leaf."""
 
     def body(run, node, t, leaf, u, v):
         node, index, line = _next_candidate(s, ty, node, end, o, d, slabs, t, run)
@@ -106,15 +133,23 @@ def intersect(
 
     zero = dr.zeros(ty.Float)
     _run, _node, t, leaf, u, v = dr.while_loop(
-        (active, octant * s.node_count, t_max, ty.UInt(NO_LEAF), zero, zero),
+        (active, ty.UInt(first), t_max, ty.UInt(NO_LEAF), zero, zero),
         cond=lambda *st: st[0],
         body=body,
         labels=("run", "node", "t", "leaf", "u", "v"),
         label="bezier traversal",
     )
+    return t, leaf, u, v
+
+
+def finish(
+    s: Structure, ty: Types, t: Any, leaf: Any, u: Any, v: Any, active: Any, any_hit: bool
+) -> Hit:
+    """Turn a leaf and its parameters into a patch and its."""
     valid = active & (leaf != NO_LEAF)
     t = dr.select(valid, t, dr.inf)
     if any_hit:
+        zero = dr.zeros(ty.Float)
         return Hit(valid, t, ty.UInt(0), zero, zero)
     m = gather_packets(s.domain, dr.select(valid, leaf, 0), DOMAIN, valid)
     patch = dr.reinterpret_array(ty.UInt, m[9])
@@ -137,11 +172,11 @@ def _next_candidate(
     wait for the others here and all march together.
     """
     if not (s.has_affine or s.has_projective):
-        node, leaf = _next_leaf(s, ty, node, end, slabs, t_max, run)
+        node, leaf = next_leaf(s.nodes, ty, node, end, slabs, t_max, run)
         return node, leaf, ChartLine.zero(ty)
 
     def body(walk, node, leaf, line):
-        node, leaf = _next_leaf(s, ty, node, end, slabs, t_max, walk)
+        node, leaf = next_leaf(s.nodes, ty, node, end, slabs, t_max, walk)
         found = walk & (leaf != NO_LEAF)
         graph = found & (leaf < s.first_group) if s.has_groups else found
         candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
@@ -160,13 +195,13 @@ def _next_candidate(
     return node, leaf, line
 
 
-def _next_leaf(
-    s: Structure, ty: Types, node: Any, end: Any, slabs: Slabs, t_max: Any, run: Any
+def next_leaf(
+    nodes: Any, ty: Types, node: Any, end: Any, slabs: Slabs, t_max: Any, run: Any
 ) -> tuple[Any, Any]:
     """Walk the tree to the next leaf whose box is hit; `NO_LEAF` when there is none."""
 
     def body(walk, node, leaf):
-        packet = gather_packets(s.nodes, node, NODE, walk)
+        packet = gather_packets(nodes, node, NODE, walk)
         enter, leave = dr.zeros(ty.Float), t_max
         for a in range(3):
             # one instruction each; those of dr.maximum and dr.minimum look out for NaN
