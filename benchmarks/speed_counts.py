@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,7 +14,7 @@ from common import Options, camera_rays, random_rays, time_in_turns, to_rays
 from speed_report import Section, short
 from speed_surfaces import BEZIER, bezier
 
-from mitsuba_bezier.kernels import graph, quadric, traverse
+from mitsuba_bezier.kernels import traverse
 from mitsuba_bezier.kernels.arrays import gather_packets, types_of, upload
 from mitsuba_bezier.kernels.structure import Structure
 
@@ -28,7 +29,12 @@ RECORDS = {
     "far_nets": "projective nets",
     "groups": "quadrics",
     "members": "their patches",
+    "rows": "their inverses",
+    "planes": "sections",
+    "domain": "domains",
 }
+#: Those in float64.
+WIDE = ("far_nets", "groups", "rows")
 
 
 @contextmanager
@@ -51,7 +57,11 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
             dr.scatter_inc(counters[name], lane, active)
         return gather_packets(buffer, index, count, active)
 
-    modules = (traverse, graph, quadric)
+    modules = [
+        module
+        for name, module in sys.modules.items()
+        if name.startswith("mitsuba_bezier.kernels.") and hasattr(module, "gather_packets")
+    ]
     for module in modules:
         module.gather_packets = gather
     try:
@@ -71,7 +81,7 @@ def count_reads(structure: Structure, o: np.ndarray, d: np.ndarray) -> dict[str,
     out = {}
     for name, packets in counted["packets"].items():
         number = float(np.array(counted["counters"][name]).mean())
-        size = np.dtype(np.float64 if name in ("far_nets", "groups") else np.float32).itemsize
+        size = np.dtype(np.float64 if name in WIDE else np.float32).itemsize
         out[name] = {"records": number, "bytes": number * packets * 8 * size}
     return out
 

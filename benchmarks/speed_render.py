@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import drjit as dr
@@ -90,14 +91,15 @@ def cases(options: Options) -> dict[str, Any]:
 
 
 def kernels_of(task: Any) -> dict[str, float]:
-    """Run a task and return what it launched and compiled.
+    """Run a task and return what it launched and compiled, and the mean of its result.
 
     ``kernels`` are compiled programs launched, ``others`` are Dr.Jit's own operations
     (reductions, compressions), ``compiled`` counts kernels not found in memory.
     """
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        dr.eval(task())
+        result = task()
+        dr.eval(result)
         dr.sync_thread()
         history = dr.kernel_history()
     jit = [e for e in history if "hash" in e]
@@ -107,6 +109,7 @@ def kernels_of(task: Any) -> dict[str, float]:
         "others": len(history) - len(jit),
         "compiled": len(fresh),
         "compile_seconds": sum(e["codegen_time"] + e["backend_time"] for e in fresh) / 1e3,
+        "mean": float(np.array(result).mean()) if isinstance(result, mi.TensorXf) else math.nan,
     }
 
 
@@ -123,15 +126,14 @@ def measure(options: Options) -> list[dict[str, Any]]:
     samples = options.side**2 * options.spp
     rows = []
     for name, scene in scenes.items():
-        dr.flush_malloc_cache()
+        dr.detail.malloc_clear_statistics()
         again = kernels_of(tasks[name])
-        changed = 0.0
+        peak = dr.detail.malloc_watermark(backend)
+        changed = 0
         if "ball.control_points" in (params := mi.traverse(scene)):
             params["ball.control_points"] = params["ball.control_points"] * 1.0
             params.update()
             changed = kernels_of(tasks[name])["compiled"]
-        dr.detail.malloc_clear_statistics()
-        image = np.array(tasks[name]())
         rows.append(
             {
                 "scene": name,
@@ -144,8 +146,8 @@ def measure(options: Options) -> list[dict[str, Any]]:
                 "others": again["others"],
                 "compiled_again": again["compiled"],
                 "compiled_after_update": changed,
-                "bytes_per_sample": dr.detail.malloc_watermark(backend) / samples,
-                "mean": float(image.mean()),
+                "bytes_per_sample": peak / samples,
+                "mean": again["mean"],
                 **times[name].as_row(),
             }
         )

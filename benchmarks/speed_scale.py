@@ -18,7 +18,7 @@ from speed_surfaces import bezier_shape, height_field, patches_of
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.kernels import structure as structure_module
-from mitsuba_bezier.kernels.structure import HEAD, Structure
+from mitsuba_bezier.kernels.structure import Structure
 
 __all__ = ["measure", "net_bytes", "sections"]
 
@@ -57,10 +57,11 @@ def _timed_tree() -> Iterator[dict[str, float]]:
 
 def net_bytes(structure: Structure) -> int:
     """Return the bytes of the nets alone: what any representation of the leaves must keep."""
-    net = (structure.degree + 1) * (structure.degree + 2) * 2
-    width = -(-(HEAD + net) // 8) * 8 * 4
-    projective = structure.graph_count - structure.affine_count
-    return structure.affine_count * width + projective * 2 * width
+    return (
+        structure.has_affine * len(structure.nets) * 4
+        + structure.has_projective * len(structure.far_nets) * 8
+        + structure.has_sections * len(structure.planes) * 4
+    )
 
 
 def build(patches: mb.BezierTriangles) -> tuple[Structure, dict[str, dict[str, float]]]:
