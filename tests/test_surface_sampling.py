@@ -16,6 +16,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier import io
 from mitsuba_bezier.errors import GeometryError
 from mitsuba_bezier.geometry.trims import Trims, closed_region
+from mitsuba_bezier.plugins.scene_data import data_for_shapes
 
 TORUS = 2.0, 0.75
 # a quadratic patch of uneven weights, as Euclidean points and weights
@@ -195,6 +196,54 @@ def test_texture_coordinates_of_samples():
     # ... and the density does not depend on them
     ps = textured.sample_position(0.0, sample)
     assert np.allclose(np.array(textured.pdf_position(ps)), np.array(ps.pdf), rtol=1e-5)
+
+
+def lamp(pixels: np.ndarray) -> Any:
+    """Return one octant of a sphere that shines as an image over (u, v)."""
+    radiance = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(pixels.astype(np.float32)),
+        "filter_type": "nearest",
+        "raw": not mi.is_spectral,
+    }
+    net = mb.sphere(cover="octants").control_points[:1]
+    return mi.load_dict(bezier(net, emitter={"type": "area", "radiance": radiance}))
+
+
+@pytest.mark.parametrize("name", ["llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_mono"])
+def test_textured_emitters_are_sampled_where_they_shine(name):
+    if name not in mi.variants():
+        pytest.skip("this Mitsuba has no such variant")
+    mi.set_variant(name)
+    try:
+        pixels = np.zeros((8, 8, 3))
+        pixels[1, 2] = [5, 4, 3]
+        shape = lamp(pixels)
+        sampling = data_for_shapes([shape]).surface_sampling((0,), by_emission=True)
+        rng = np.random.default_rng(2)
+        sample = mi.Point2f(rng.random((2, 100_000), dtype=np.float32))
+        which = mi.UInt32(0)
+        ps, patch = sampling.sample(which, sample, mi.Bool(True))
+        pdf, uv = np.array(ps.pdf), np.array(ps.uv).T
+        # the density is that of the samples' points, and its inverse's mean is the area
+        again = np.array(sampling.pdf(which, patch, ps.uv, mi.Bool(True)))
+        assert np.abs(again / pdf - 1).max() < 1e-3  # points on a side of a cell
+        area, error = np.pi / 2, 5 * (1 / pdf).std() / np.sqrt(len(pdf))
+        assert (1 / pdf).mean() == pytest.approx(area, abs=error)
+        # one pixel of 64 shines, on a surface of half of them: 1 / 1.1 of the samples are there,
+        # less those of its edge
+        column, row = np.floor(8 * uv).astype(int).T
+        share = max(((column == 2) & (row == r)).mean() for r in (1, 6))
+        assert share > 0.75
+        # nothing is left out, even the darkest
+        assert len({*zip(column.tolist(), row.tolist())}) >= 36
+        # without light, and for whoever does not ask for it, by area
+        dark = data_for_shapes([lamp(0 * pixels)]).surface_sampling((0,), by_emission=True)
+        for other in (dark, data_for_shapes([shape]).surface_sampling((0,))):
+            flat = np.array(other.sample(which, sample, mi.Bool(True))[0].pdf)
+            assert (flat * area).std() < 0.01
+    finally:
+        mi.set_variant("llvm_ad_rgb")
 
 
 def test_points_off_the_surface_have_no_density():

@@ -34,7 +34,7 @@ class EmitterSampling:
         if not numbers:
             return
         assert data is not None
-        self.surfaces = data.surface_sampling(tuple(numbers))
+        self.surfaces = data.surface_sampling(tuple(numbers), by_emission=True)
         emitters = self.scene.emitters()
         of_emitter = np.full(len(emitters), _NONE, dtype=np.uint32)
         emitter_of = np.zeros(len(numbers), dtype=np.uint32)

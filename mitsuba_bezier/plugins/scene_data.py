@@ -163,11 +163,14 @@ class SceneData:
         finally:
             self.attached = None
 
-    def surface_sampling(self, numbers: tuple[int, ...]) -> SurfaceSampling:
+    def surface_sampling(
+        self, numbers: tuple[int, ...], by_emission: bool = False
+    ) -> SurfaceSampling:
         """Return the sampling of these shapes, made at its first use."""
-        if numbers not in self._sampling:
-            self._sampling[numbers] = SurfaceSampling(self, list(numbers))
-        return self._sampling[numbers]
+        key = (by_emission, *numbers)
+        if key not in self._sampling:
+            self._sampling[key] = SurfaceSampling(self, list(numbers), by_emission)
+        return self._sampling[key]
 
     def open_edges(self) -> Any:
         """Return for each patch which edges have no neighbour in their shape.

@@ -21,36 +21,50 @@ __all__ = ["SurfaceSampling", "direction_sample"]
 _CELLS = 4096
 #: Least density of a cell's corner, as a part of the cell's mean: no point has density 0.
 _FLOOR = 0.125
+#: What a cell without any light seen in it counts, as a part of the mean of all.
+_BLIND = 0.1
 
 
-def _resolution(count: int, trimmed: bool) -> int:
+def _resolution(count: int, fine: bool) -> int:
     """Return into how many parts the edges of `count` patches are cut."""
-    # finer where samples may fall on what is trimmed away
-    return int(np.clip(np.sqrt(_CELLS / count), 1, 16)) * (3 if trimmed else 1)
+    return int(np.clip(np.sqrt(_CELLS / count), 1, 16)) * (3 if fine else 1)
+
+
+def _lattice(r: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the cells of a lattice of edge length ``1/r`` in the triangle of parameters.
+
+    Cell ``(i, j, 0)`` has the corners ``(i, j), (i+1, j), (i, j+1)`` in units of ``1/r``, and
+    ``(i, j, 1)`` is its neighbour ``(i+1, j+1), (i, j+1), (i+1, j)``.
+
+    Returns
+    -------
+    valid : (r, r, 2) bool array
+        Which cells are in the triangle: `N` of them.
+    corners, inner : (N, 3, 2) arrays
+        Their corners, and the points of the three-point rule.
+    """
+    i, j = np.meshgrid(np.arange(r), np.arange(r), indexing="ij")
+    valid = np.stack([i + j < r, i + j < r - 1], axis=-1)
+    origin = np.stack([i, j], axis=-1)[:, :, None]
+    points = []
+    for offset in (np.array([[0, 0], [1, 0], [0, 1]]), np.array([[1, 1], [4, 1], [1, 4]]) / 6):
+        uv = np.stack([origin + offset, origin + 1 - offset], axis=2) / r
+        points.append(uv[valid])
+    return valid, points[0], points[1]
 
 
 def _cell_densities(patches: BezierTriangles, trims: Trims | None, r: int) -> np.ndarray:
-    """Return ``|dp_du x dp_dv|`` at the corners of the cells of a lattice of edge length ``1/r``.
+    """Return ``|dp_du x dp_dv|`` at the corners of the cells of `_lattice`.
 
-    Cell ``(i, j, 0)`` has the corners ``(i, j), (i+1, j), (i, j+1)`` in units of ``1/r``, and
-    ``(i, j, 1)`` is its neighbour ``(i+1, j+1), (i, j+1), (i+1, j)``. Values are at least
-    `_FLOOR` times the mean of the three-point rule: corners may be collapsed.
+    Values are at least `_FLOOR` times the mean of the three-point rule: corners may be collapsed.
 
     Returns
     -------
     (P, r, r, 2, 3) array
         Zeros for cells outside of the triangle, and for those that are trimmed away.
     """
-    i, j = np.meshgrid(np.arange(r), np.arange(r), indexing="ij")
-    corner = np.stack([i, j], axis=-1)[:, :, None]
-    steps = np.array([[0, 0], [1, 0], [0, 1]])
-    inner = np.array([[1, 1], [4, 1], [1, 4]]) / 6
-    valid = np.stack([i + j < r, i + j < r - 1], axis=-1)
-    uv = np.empty((2, r, r, 2, 3, 2))
-    for k, offset in enumerate((steps, inner)):
-        uv[k, :, :, 0] = (corner + offset) / r
-        uv[k, :, :, 1] = (corner + 1 - offset) / r
-    points = uv[:, valid].reshape(-1, 2)
+    valid, corners, inner = _lattice(r)
+    points = np.concatenate([corners, inner]).reshape(-1, 2)
     count = len(patches)
     d = patches.differential(np.repeat(np.arange(count), len(points)), np.tile(points, (count, 1)))
     density = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1).reshape(count, 2, -1, 3)
@@ -59,11 +73,42 @@ def _cell_densities(patches: BezierTriangles, trims: Trims | None, r: int) -> np
     out[:, valid] = np.maximum(density[:, 0], floor)
     if trims is not None:
         trimmed = np.flatnonzero(trims.region >= 0)
-        corners = np.tile(uv[0, valid], (len(trimmed), 1, 1))
-        left = left_of_cells(trims, np.repeat(trimmed, valid.sum()), corners) > 0
+        several = np.tile(corners, (len(trimmed), 1, 1))
+        left = left_of_cells(trims, np.repeat(trimmed, len(corners)), several) > 0
         part = out[trimmed]
         part[:, valid] *= left.reshape(len(trimmed), -1, 1)
         out[trimmed] = part
+    return out
+
+
+def _cell_emission(data: Any, number: int, first: int, r: int) -> np.ndarray | None:
+    """Return how much more than the least the cells of a shape emit, ``(P, r, r, 2, 1)``.
+
+    The radiance along the normal at three points of each cell, to which a part of its mean is
+    added: the points may miss what is bright. None if no cell emits any.
+    """
+    shape = data.shapes[number]
+    valid, _corners, inner = _lattice(r)
+    count = len(shape.patches)
+    uv = np.tile(inner.reshape(-1, 2), (count, 1)).T.astype(np.float32)
+    with dr.suspend_grad():
+        patch = mi.UInt32(np.repeat(np.arange(first, first + count), 3 * len(inner)))
+        u, v = mi.Float(uv[0].copy()), mi.Float(uv[1].copy())
+        point, n, _density = data.tables.point_and_normal(patch, u, v, mi.Bool(True))
+        si = dr.zeros(mi.SurfaceInteraction3f, len(uv[0]))
+        si.p, si.n, si.uv = point, n, data.tables.texture(patch, u, v, mi.Bool(True))[0]
+        si.sh_frame, si.wi, si.prim_index = mi.Frame3f(n), mi.Vector3f(0, 0, 1), patch - first
+        si.shape = dr.gather(mi.ShapePtr, data.pointers, mi.UInt32(number))
+        if mi.is_spectral:
+            visible = np.linspace(430, 650, len(si.wavelengths)).tolist()  # in nm
+            si.wavelengths = type(si.wavelengths)(*visible)
+        value = mi.unpolarized_spectrum(shape.emitter().eval(si, mi.Bool(True)))
+    radiance = np.array(value, dtype=np.float64)
+    radiance = radiance.reshape(-1, count, len(inner), 3).mean(axis=(0, 3))
+    if not (np.isfinite(radiance).all() and (radiance >= 0).all() and radiance.any()):
+        return None
+    out = np.zeros((count, r, r, 2, 1))
+    out[:, valid, 0] = radiance + _BLIND * radiance.mean()
     return out
 
 
@@ -103,6 +148,9 @@ class SurfaceSampling:
         The structure.
     numbers : list of int
         Which of ``data.shapes`` may be sampled.
+    by_emission : bool
+        Sample shapes with a textured emitter also in proportion to what the parts of their
+        surface emit (when this is made: later changes of a texture do no harm but to the noise).
 
     Raises
     ------
@@ -110,7 +158,7 @@ class SurfaceSampling:
         If a shape has no finite area.
     """
 
-    def __init__(self, data: Any, numbers: list[int]) -> None:
+    def __init__(self, data: Any, numbers: list[int], by_emission: bool = False) -> None:
         self.data = data
         self.numbers = numbers
         cdf, corners, rows = [], [], []
@@ -118,11 +166,18 @@ class SurfaceSampling:
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         for number in numbers:
             shape = data.shapes[number]
-            r = _resolution(len(shape.patches), shape.trims is not None)
+            emitter = shape.emitter() if by_emission else None
+            varies = emitter is not None and mi.has_flag(
+                emitter.flags(), mi.EmitterFlags.SpatiallyVarying
+            )
+            # finer where samples may fall on what is trimmed away, or on what is dark
+            r = _resolution(len(shape.patches), shape.trims is not None or varies)
             bounded = is_bounded(shape.patches)
             density = np.zeros((1, 3))
             if bounded:
-                density = _cell_densities(shape.patches, shape.trims, r).reshape(-1, 3)
+                density = _cell_densities(shape.patches, shape.trims, r)
+                emission = _cell_emission(data, number, firsts[number], r) if varies else None
+                density = (density if emission is None else density * emission).reshape(-1, 3)
             total = density.sum() / (6 * r * r)
             if not (np.isfinite(total) and total > 0):
                 raise GeometryError.expected(
