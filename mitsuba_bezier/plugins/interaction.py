@@ -12,7 +12,7 @@ from ..kernels.curvature import affine_second_partials, evaluate_second
 from ..kernels.patch import affine_partials, evaluate
 from .attached import follow_ray
 
-__all__ = ["PatchTables", "Preliminary", "surface_interaction"]
+__all__ = ["PatchTables", "Preliminary", "shading_frame", "surface_interaction"]
 
 #: Sine between dp_du and dp_dv, squared, below which float32 cannot tell a normal any more.
 _FLAT = 1e-10
@@ -57,10 +57,8 @@ class PatchTables:
 
     def partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point and its first partials by the parameters."""
-        value, d_du, d_dv = evaluate(self.nets, self.degree, patch, u, v, active)
-        if dr.grad_enabled(value):  # idle lanes: zero times infinity would be their derivative
-            value[3] = dr.select(active, value[3], 1.0)
-        p, pu, pv = affine_partials(value, d_du, d_dv)
+        value = evaluate(self.nets, self.degree, patch, u, v, active)
+        p, pu, pv = affine_partials(*value)
         return mi.Point3f(*p), mi.Vector3f(*pu), mi.Vector3f(*pv)
 
     def geometry(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any, Any]:
@@ -164,7 +162,7 @@ def _by_texture(fu: Any, fv: Any, du: Any, dv: Any) -> tuple[Any, Any, Any]:
     )
 
 
-def _shading_frame(n: Any, dp_du: Any) -> Any:
+def shading_frame(n: Any, dp_du: Any) -> Any:
     """Return the frame of a unit normal, its first axis along `dp_du` if that has a direction."""
     across = dp_du - n * dr.dot(n, dp_du)
     # at a collapsed corner dp_du is a rounding error, of any direction: 1e-4 of it are still safe
@@ -223,7 +221,7 @@ def surface_interaction(
     si.dp_dv = dr.select(ours, pv, 0.0)
     si.dn_du = dr.select(ours, nu, 0.0)
     si.dn_dv = dr.select(ours, nv, 0.0)
-    si.sh_frame = _shading_frame(si.n, si.dp_du)
+    si.sh_frame = shading_frame(si.n, si.dp_du)
     si.time = ray.time
     si.wavelengths = ray.wavelengths
     si.shape = dr.select(ours, pi.shape, dr.zeros(mi.ShapePtr))

@@ -19,11 +19,12 @@ from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
 from ..kernels.patch import pack
-from ..kernels.structure import build_structure
-from ..kernels.traverse import intersect
+from ..kernels.structure import Structure, build_structure
+from ..kernels.traverse import Hit, intersect
 from ..kernels.trim import TrimTable, build_table
 from .attached import attached_tables
 from .contours import open_edges
+from .copies import CopyTables
 from .interaction import PatchTables, Preliminary, surface_interaction
 from .surface_sampling import SurfaceSampling
 
@@ -68,7 +69,10 @@ class SceneData:
                 keep[0], cell[0] = True, leaves.patch[0]
             self.trim = build_table(cells, mi.Float)
             leaves, table = leaves.select(keep), (self.trim, cell[keep])
-        self.structure = build_structure(leaves, mi.Float, table)
+        #: The patches that are where they are, and those that have copies; None if there are none.
+        self.structure: Structure | None = None
+        self.copies: CopyTables | None = None
+        self._build(leaves, np.array(patch_shape)[leaves.patch], table)
         degree = max(shape.patches.degree for shape in shapes)
         nets = [pack(s.patches.elevate(degree - s.patches.degree).control_points) for s in shapes]
         self.patch_shape = upload(mi.UInt32, np.array(patch_shape))
@@ -88,20 +92,53 @@ class SceneData:
             self.pointers = mi.ShapePtr(shapes[0])
         dr.make_opaque(self.pointers)  # a literal would make each shape its own kernels
 
+    def _build(self, leaves: Leaves, shape: np.ndarray, trims: Any) -> None:
+        """Build the structures of leaves, given their shapes and trims."""
+        copied = [k for k, s in enumerate(self.shapes) if s.copies is not None]
+        if not copied:
+            self.structure = build_structure(leaves, mi.Float, trims)
+            return
+        here = ~np.isin(shape, copied)
+
+        def cells(mask: np.ndarray) -> Any:
+            return None if trims is None else (trims[0], trims[1][mask])
+
+        if here.any():
+            self.structure = build_structure(leaves.select(here), mi.Float, cells(here))
+        if not here.all():
+            objects = np.searchsorted(copied, shape[~here])
+            shapes = [self.shapes[k] for k in copied]
+            self.copies = CopyTables(leaves.select(~here), objects, shapes, cells(~here))
+
     # ------------------------------------------------------------------ queries
+
+    def _nearest(self, ray: Any, t_max: Any, active: Any, any_hit: bool) -> tuple[Hit, Any]:
+        """Return the hit of the kernels, and 1 + the number of the copy, 0 for none."""
+        ty = types_of(mi.Float)
+        o = [ty.Float(dr.detach(ray.o[i], False)) for i in range(3)]
+        d = [ty.Float(dr.detach(ray.d[i], False)) for i in range(3)]
+        t_max, active = dr.detach(mi.Float(t_max), False), dr.detach(mi.Bool(active), False)
+        if self.copies is None:
+            assert self.structure is not None
+            return intersect(self.structure, o, d, t_max, active, any_hit), None
+        if self.structure is None:
+            hit, copy = self.copies.intersect(o, d, t_max, active, any_hit)
+            return hit, dr.select(hit.valid, copy + 1, 0)
+        first = intersect(self.structure, o, d, t_max, active, any_hit)
+        if any_hit:
+            active = active & ~first.valid
+        hit, copy = self.copies.intersect(o, d, dr.minimum(t_max, first.t), active, any_hit)
+        both = Hit(
+            first.valid | hit.valid,
+            *(dr.select(hit.valid, y, x) for x, y in zip(first[1:], hit[1:])),
+        )
+        return both, dr.select(hit.valid, copy + 1, 0)
 
     def preliminary(self, ray: Any, active: Any = True, pi: Any = None) -> Preliminary:
         """Return the nearest hit, of `pi` (Mitsuba's own, if given) and of our patches."""
         with dr.suspend_grad():
             ray_maxt = mi.Float(ray.maxt) if pi is None else dr.minimum(ray.maxt, pi.t)
-            ty = types_of(mi.Float)
-            hit = intersect(
-                self.structure,
-                [ty.Float(dr.detach(ray.o[i], False)) for i in range(3)],
-                [ty.Float(dr.detach(ray.d[i], False)) for i in range(3)],
-                dr.detach(ray_maxt, False),
-                dr.detach(mi.Bool(active), False),
-            )
+            hit, copy = self._nearest(ray, ray_maxt, active, False)
             valid = mi.Bool(hit.valid)
             patch = mi.UInt32(hit.patch)
             if pi is None:
@@ -118,19 +155,14 @@ class SceneData:
                 valid, dr.gather(mi.ShapePtr, self.pointers, index, valid), pi.shape
             )
             pi.instance = dr.select(valid, dr.zeros(mi.ShapePtr), pi.instance)
+            if copy is not None:
+                pi.shape_index = dr.select(valid, mi.UInt32(copy), pi.shape_index)
             return Preliminary(pi, valid, patch)
 
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether a ray hits any patch before ``ray.maxt``."""
         with dr.suspend_grad():
-            hit = intersect(
-                self.structure,
-                [dr.detach(ray.o[i], False) for i in range(3)],
-                [dr.detach(ray.d[i], False) for i in range(3)],
-                dr.detach(mi.Float(ray.maxt), False),
-                dr.detach(mi.Bool(active), False),
-                any_hit=True,
-            )
+            hit, _copy = self._nearest(ray, ray.maxt, active, True)
             return mi.Bool(hit.valid)
 
     def surface_interaction(self, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Any:
@@ -138,7 +170,13 @@ class SceneData:
         tables = self.tables
         if not mi.has_flag(flags, mi.RayFlags.DetachShape):
             tables = self.attached or attached_tables(tables, self.shapes)
-        return surface_interaction(tables, hit, ray, flags, active)
+        if self.copies is None:
+            return surface_interaction(tables, hit, ray, flags, active)
+        copied = hit.bezier & (hit.pi.shape_index != 0) & mi.Bool(active)
+        copy = dr.select(copied, hit.pi.shape_index - 1, 0)
+        local = self.copies.local_ray(copy, ray, copied)
+        si = surface_interaction(tables, hit, local, flags, active)
+        return self.copies.to_world(si, copy, ray, copied)
 
     @contextmanager
     def attach(self, mode: Any) -> Iterator[None]:

@@ -14,6 +14,7 @@ from ..errors import BezierError, FileFormatError, NetError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
+from .copies import copy_boxes, read_copies
 from .interaction import Preliminary
 from .shape_silhouettes import METHODS
 from .surface_area import surface_area
@@ -49,6 +50,14 @@ def make_shape_class() -> type:
          * - to_world
            - |transform|
            - Affine map from object to world space (Default: none, |exposed|).
+         * - copies
+           - |tensor|
+           - Affine maps of shape ``(N, 3, 4)`` or ``(N, 4, 4)``: the surface appears `N` times,
+             each map applied after `to_world`, and takes the memory of one (Default: once, as it
+             is). Shapes with copies cannot carry an emitter.
+         * - copies_filename
+           - |string|
+           - A ``.npy`` file of these maps instead, or a text file with twelve numbers a line.
          * - flip_normals
            - |bool|
            - Turn the normals, which follow :math:`\partial_u p \times \partial_v p`
@@ -90,6 +99,8 @@ def make_shape_class() -> type:
             flip = props.get("flip_normals", False)
             if not isinstance(flip, bool):
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
+            #: Maps (N, 4, 4) of the copies, or None.
+            self.copies = read_copies(props)
             texcoords, attributes = _read_tables(props, len(patches))
             for key in ("control_points", "filename", "to_world", "flip_normals", "texcoords"):
                 if key in props:
@@ -104,6 +115,8 @@ def make_shape_class() -> type:
                     "one that sits on a surface, as area does",
                     f"{emitter.class_name()}; put it beside the shape",
                 )
+            if emitter is not None and self.copies is not None:
+                raise BezierError.expected("emitter", "none on a shape with copies", "one")
             self._flip = flip
             self.control_points = _tensor(patches.control_points)
             self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
@@ -126,8 +139,15 @@ def make_shape_class() -> type:
             mirrored = np.linalg.det(matrix[:3, :3]) < 0
             #: Sign of the normal along dp_du x dp_dv: a mirror image keeps its outside out.
             self.orientation = -1.0 if mirrored != self._flip else 1.0
+            box = finite_bounds(world)
+            if self.copies is not None:
+                #: Boxes (N, 2, 3) of the copies.
+                self.copy_boxes = copy_boxes(world, self.copies)
+                box = np.stack(
+                    [self.copy_boxes[:, 0].min(axis=0), self.copy_boxes[:, 1].max(axis=0)]
+                )
             self.version = next(_versions)
-            self._set_box(finite_bounds(world))
+            self._set_box(box)
 
         def _set_box(self, box: np.ndarray) -> None:
             """Give the mesh base class the corners of the box, so that the scene's is right.
@@ -280,7 +300,18 @@ def make_shape_class() -> type:
 
             It is infinite for a surface that runs to infinity.
             """
-            return mi.Float(surface_area(self.patches, self.trims))
+            if self.copies is None:
+                return mi.Float(surface_area(self.patches, self.trims))
+            # rigid copies of one size have one area
+            linear = self.copies[:, :3, :3]
+            forms = np.einsum("nki,nkj->nij", linear, linear).reshape(-1, 9)
+            _forms, first, count = np.unique(
+                np.round(forms, 12), axis=0, return_index=True, return_counts=True
+            )
+            areas = [
+                surface_area(self.patches.transform(m), self.trims) for m in self.copies[first]
+            ]
+            return mi.Float(float(np.dot(areas, count)))
 
         def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
             """Sample the surface nearly by area; return `mi.PositionSample3f`."""
