@@ -166,6 +166,10 @@ class SurfaceSampling:
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         for number in numbers:
             shape = data.shapes[number]
+            if shape.copies is not None:
+                raise GeometryError.expected(
+                    f'shape "{shape.id()}"', "one without copies to sample", "copies"
+                )
             emitter = shape.emitter() if by_emission else None
             varies = emitter is not None and mi.has_flag(
                 emitter.flags(), mi.EmitterFlags.SpatiallyVarying
