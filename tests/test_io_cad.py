@@ -11,8 +11,10 @@ import pytest
 from mitsuba_bezier import io
 from mitsuba_bezier.errors import FileFormatError
 from mitsuba_bezier.geometry.triangles import BezierTriangles
+from mitsuba_bezier.geometry.trims import Trims
 from mitsuba_bezier.io import FormatWarning, cad, isolated
 from mitsuba_bezier.io import rhino as rhino_reader
+from mitsuba_bezier.io.tensor_nets import has_area
 
 GAUSS = np.polynomial.legendre.leggauss(16)
 S = (GAUSS[0] + 1) / 2
@@ -217,6 +219,23 @@ def test_nurbs_surface_equals_opencascade(occ, tmp_path, periodic):
             # 1e-12 as required; the coordinates are below 6
             gap = np.abs(point - [wanted.X(), wanted.Y(), wanted.Z()]).max()
             assert gap < 1e-12
+
+
+def test_patches_without_area_are_left_out():
+    """Where a surface of revolution runs along its axis, or ends in a point."""
+    rng = np.random.default_rng(0)
+    nets = np.ones((5, 6, 4))
+    nets[..., :3] = rng.normal(size=(5, 6, 3))
+    nets[1, :, :2] = 7.0  # a line
+    nets[2, :, :3] = [1, 2, 3]  # a point
+    nets[3, :, 1] = nets[3, :, 0] + 1e-6 * rng.normal(size=6)  # flat, but a surface
+    nets[3, :, 2] = 0
+    nets[4, :, 3] = -1  # weights that say nothing about points
+    assert has_area(nets).tolist() == [True, False, False, True, True]
+    trims = Trims.none(5)
+    ((left, left_trims),) = cad._with_area([(nets, trims), (nets[1:3], None)])
+    assert len(left) == len(left_trims) == 3
+    assert cad._with_area([(nets[1:3], None)]) == "a sliver without area"
 
 
 def test_faces_are_named_when_refused(occ, tmp_path, monkeypatch):

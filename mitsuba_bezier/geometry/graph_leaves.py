@@ -218,9 +218,11 @@ def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, n
     basis = np.concatenate([basis, apex[:, None]], axis=1)
     usable = np.isfinite(basis).all(axis=(1, 2))
     basis[~usable] = np.eye(4)
-    usable &= np.abs(np.linalg.det(basis)) > 1e-30
+    columns = basis.transpose(0, 2, 1)
+    # of the matrix that is inverted: a pivot of zero makes both fail, or neither
+    usable &= np.abs(np.linalg.det(columns)) > 1e-30
     basis[~usable] = np.eye(4)
-    inverse = np.linalg.inv(basis.transpose(0, 2, 1))  # coordinates (U0, U1, U2, s)
+    inverse = np.linalg.inv(columns)  # coordinates (U0, U1, U2, s)
     rows[:, 0], rows[:, 1], rows[:, 2] = inverse[:, 0], inverse[:, 1], inverse[:, 3]
     rows[:, 3] = inverse[:, :3].sum(axis=1)
     # the affine chart's origin is the shift itself, so only a 3x3 matrix is left

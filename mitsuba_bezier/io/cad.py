@@ -34,7 +34,7 @@ from .isolated import read_isolated
 from .nurbs_surface import bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
 from .report import Collector, Model
-from .tensor_nets import tensor_nets
+from .tensor_nets import has_area, tensor_nets
 from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimmed_patches
 from .trims import rectangles, rectilinear
 
@@ -170,7 +170,7 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
         face = occ.face(item)
         name = f"face {number}"
         try:
-            parts = _convert(occ, face, collector, name, trims)
+            parts = _with_area(_convert(occ, face, collector, name, trims))
         except (FileFormatError, MemoryError):
             raise
         except Exception as error:  # a face like no other must not cost the rest: report it
@@ -237,6 +237,18 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str, trims: bool) 
         (_orient(tensor_nets(surface_grid(occ, surface, box).rectangle(box)), turned), None)
         for box in boxes
     ]
+
+
+def _with_area(parts: list[Part] | str) -> list[Part] | str:
+    """Leave out patches that are lines or points."""
+    if isinstance(parts, str):
+        return parts
+    out: list[Part] = []
+    for nets, trims in parts:
+        good = has_area(nets)
+        if good.any():
+            out.append((nets[good], None if trims is None else trims[good]))
+    return out or "a sliver without area"
 
 
 def _is_sliver(surface: Any, points: list[np.ndarray]) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..geometry.tensor import tensor_matrices
 
-__all__ = ["fan", "homogeneous", "tensor_nets"]
+__all__ = ["fan", "has_area", "homogeneous", "tensor_nets"]
 
 
 def homogeneous(points: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -38,6 +38,21 @@ def tensor_nets(nets: np.ndarray) -> np.ndarray:
     same = (nets[..., 3] == weight[:, None, None]).all(axis=(1, 2))
     out[same, :, 3] = weight[same, None]
     return out.reshape(2 * count, -1, 4)
+
+
+def has_area(nets: np.ndarray) -> np.ndarray:
+    """Tell which nets ``(P, K, 4)`` of positive weights are more than a line or a point, ``(P,)``.
+
+    CAD surfaces that end on an axis have such patches.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        points = nets[..., :3] / nets[..., 3:]
+    points = points - points.mean(axis=1, keepdims=True)
+    gram = np.einsum("pki,pkj->pij", points, points)
+    good = np.isfinite(gram).all(axis=(1, 2)) & (nets[..., 3] > 0).all(axis=1)
+    values = np.linalg.eigvalsh(np.where(good[:, None, None], gram, np.eye(3)))
+    # squares: 3e-8 of the length, what rounding makes of a line
+    return ~good | (values[:, 1] > 1e-15 * values[:, 2])
 
 
 def fan(corners: np.ndarray) -> np.ndarray | None:
