@@ -92,21 +92,30 @@ def textured_lamp(kind: str) -> Any:
         middle = patches.points(range(8), np.full((8, 2), 1 / 3))
         around = np.arctan2(middle[:, 1], middle[:, 0]) % (2 * np.pi) / (2 * np.pi)
         down = np.arccos(middle[:, 2] / np.linalg.norm(middle, axis=1)) / np.pi
-        # all of a patch within one pixel of the image
-        spread = np.array([[0.1, 0], [0, 0.2], [-0.1, -0.2]])
-        shape.update(
-            type="beziertriangle",
-            control_points=tensor(patches),
-            texcoords=tensor(np.stack([around, down], axis=-1)[:, None] + spread),
-        )
+        shape.update(type="beziertriangle", control_points=tensor(patches))
+        if kind == "texture":
+            # all of a patch within one pixel of the image
+            spread = np.array([[0.1, 0], [0, 0.2], [-0.1, -0.2]])
+            shape["texcoords"] = tensor(np.stack([around, down], axis=-1)[:, None] + spread)
+        else:
+            row, column = (np.floor(x).astype(int) for x in (2 * down, 4 * around))
+            shape["face_light"] = tensor(np.array(pixels)[row, column])
+            radiance = {"type": "mesh_attribute", "name": "face_light"}
+            shape["emitter"] = {"type": "area", "radiance": radiance}
     return mi.load_dict(
         {"type": "scene", "camera": camera(48, 20), "floor": floor(), "lamp": shape}
     )
 
 
-def test_a_textured_area_light_on_a_sphere():
-    native = moments(textured_lamp("native"), path(max_depth=3), 2 * SPP, 0)
-    ours = moments(textured_lamp("ours"), bezierpath(max_depth=3), 2 * SPP, 4000)
+@pytest.fixture(scope="module")
+def native_lamp(variant) -> tuple:
+    return moments(textured_lamp("native"), path(max_depth=3), 2 * SPP, 0)
+
+
+@pytest.mark.parametrize("kind", ["texture", "attribute"])
+def test_a_textured_area_light_on_a_sphere(native_lamp, kind):
+    native = native_lamp
+    ours = moments(textured_lamp(kind), bezierpath(max_depth=3), 2 * SPP, 4000)
     assert native[0].mean() > 0.05
     share = share_within_noise(native, ours, 2 * SPP)
     assert share >= SHARE, f"{share:.4%}"
