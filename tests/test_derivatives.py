@@ -124,11 +124,14 @@ def test_collapsed_edges_have_finite_derivatives():
     dr.enable_grad(points)
     params["control_points"] = points
     params.update()
-    si = shape.ray_intersect(ray_of(o, target - o))
+    ray = ray_of(o, target - o)
+    dr.enable_grad(ray.o)
+    si = shape.ray_intersect(ray)
     valid = np.array(si.is_valid())
     assert valid[:200].any() and not valid.all()
     dr.backward(dr.sum(dr.select(si.is_valid(), si.t + si.n.x + si.sh_frame.s.y + si.wi.z, 0)))
     assert np.isfinite(np.array(dr.grad(points))).all()
+    assert np.isfinite(np.array(dr.grad(ray.o))).all()
 
 
 # ---------------------------------------------------------------- a scene without silhouettes

@@ -44,7 +44,9 @@ def make_path_class() -> type:
 
         Samples BSDFs and emitters and combines both by multiple importance sampling, as
         Mitsuba's `path` does, whose parameters and defaults it has. It sees `beziertriangle`
-        shapes exactly, and every other shape of Mitsuba.
+        shapes exactly, and every other shape of Mitsuba. Derivatives, forward and reverse, by path
+        replay have the estimator of `prb`; they leave out what moves at outlines, which
+        `bezier_prb_projective` takes in.
         """
 
         def __init__(self, props: mi.Properties) -> None:
