@@ -572,3 +572,13 @@ def test_no_warnings_for_whole_files(tmp_path):
 def test_triangle_order_is_a_permutation():
     for n in range(1, 8):
         assert sorted(bezierview.triangle_order(n)) == list(range(bernstein.size(n)))
+
+
+def test_polygons_of_enormous_size(tmp_path):
+    """Coordinates near the end of float64 overflow nowhere."""
+    path = tmp_path / "a.off"
+    path.write_text("OFF\n4 1 4\n0 0 0\n1e308 0 0\n1e308 1e308 0\n0 1e308 0\n4 0 1 2 3\n")
+    assert len(io.load(path)) == 2
+    path.write_text("OFF\n4 1 4\n1 1e308 0\n1 0 0\n1 1e308 0\n0 1 0\n4 0 1 2 3\n")
+    with pytest.raises(FileFormatError, match="without area"):
+        io.load(path)

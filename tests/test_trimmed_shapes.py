@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -227,6 +230,15 @@ def test_trims_of_other_patches(tmp_path):
         io.save(mb.sphere(cover="octants"), tmp_path / "a.vtu", trims=windows(BALL))
     with pytest.raises(FileFormatError, match="trims: expected no such option"):
         io.save(BALL, tmp_path / "a.bv", trims=windows(BALL))
+
+
+def test_the_page_on_formats_runs(tmp_path, monkeypatch):
+    page = Path(__file__).parents[1] / "docs" / "formats.md"
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M)
+    assert len(blocks) >= 2
+    for block in blocks:
+        exec(compile(block, str(page), "exec"), {})
 
 
 # ---------------------------------------------------------------------------- CAD parts

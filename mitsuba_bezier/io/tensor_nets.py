@@ -76,11 +76,16 @@ def fan(corners: np.ndarray) -> np.ndarray | None:
     index = np.stack([np.zeros(m - 2, int), np.arange(1, m - 1), np.arange(2, m)], axis=1)
     finite = corners[corners[:, 3] != 0]
     if len(finite):  # move and scale, so that the rank below does not depend on the place
-        points = finite[:, :3] / finite[:, 3:]
+        with np.errstate(over="ignore"):
+            points = finite[:, :3] / finite[:, 3:]
+        large = np.abs(points).max() or 1.0  # divided by first: then nothing below overflows
+        if not np.isfinite(large):
+            return None
+        points = points / large
         center = points.mean(axis=0)
         size = np.abs(points - center).max() or 1.0
         local = corners.copy()
-        local[:, :3] = (corners[:, :3] - center * corners[:, 3:]) / size
+        local[:, :3] = (corners[:, :3] / large - center * corners[:, 3:]) / size
     else:
         local = corners
     length = np.linalg.norm(local, axis=1, keepdims=True)
