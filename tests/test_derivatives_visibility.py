@@ -198,6 +198,13 @@ def test_bad_parameters(name, parameters, message):
         mi.load_dict({"type": name, **parameters})
 
 
+def test_copies_have_no_outlines():
+    copies = mi.TensorXf(np.eye(4, dtype=np.float32)[None].repeat(2, axis=0))
+    shape = mi.load_dict(bezier(BENT, copies=copies))
+    with pytest.raises(mb.BezierError, match="expected no copies where silhouettes are asked for"):
+        shape.precompute_silhouette(mi.ScalarPoint3f(0, 0, 5))
+
+
 def test_only_perspective_cameras():
     scene = mi.load_dict(
         {

@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..errors import BezierError
 from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials, evaluate_second
-from ..kernels.trim import keep
 from .contours import Segments, contour_segments, edge_segments
 
 __all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "outward"]
@@ -103,6 +103,11 @@ class SilhouetteCurves:
         Which of its shapes.
     eye : (3,) array or None
         The point of view; without one there are only edges.
+
+    Raises
+    ------
+    BezierError
+        If a shape has copies or is trimmed: their outlines are not known here.
     """
 
     def __init__(self, data: Any, numbers: list[int], eye: np.ndarray | None) -> None:
@@ -111,7 +116,13 @@ class SilhouetteCurves:
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         parts = []
         for number in numbers:
-            patches = data.shapes[number].patches
+            shape = data.shapes[number]
+            for what in ("copies", "trims"):
+                if getattr(shape, what) is not None:
+                    raise BezierError.expected(
+                        f'shape "{shape.id()}"', f"no {what} where silhouettes are asked for", what
+                    )
+            patches = shape.patches
             found = [edge_segments(patches)]
             if eye is not None:
                 found.append(contour_segments(patches, eye))
@@ -182,8 +193,6 @@ class SilhouetteCurves:
         d = dr.normalize(p - eye)
         n, _curvature = outward(h, d)
         n = dr.select(is_edge, _edge_normal(d, tangent, pu, pv, q), n)
-        if self.data.trim is not None:
-            active = active & mi.Bool(keep(self.data.trim, patch, q.x, q.y, active))
         valid = active & dr.isfinite(dr.squared_norm(n)) & dr.isfinite(dr.squared_norm(tangent))
         return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid)
 
