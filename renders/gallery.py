@@ -143,9 +143,9 @@ _PAGE = """<!doctype html>
 body { font: 16px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem;
   padding: 0 1rem; }
 main { display: grid; gap: 1.6rem; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); }
-figure { margin: 0; } img { width: 100%; aspect-ratio: 16/9; object-fit: contain;
-  background: #8884; border-radius: .4rem; }
-code { display: block; font-size: .75rem; overflow-wrap: anywhere; opacity: .75;
+figure { margin: 0; } img { width: 100%; aspect-ratio: 16/10; object-fit: contain;
+  background: #8882; border-radius: .4rem; }
+figcaption code { display: block; font-size: .75rem; overflow-wrap: anywhere; opacity: .75;
   margin-top: .3rem; }
 </style></head><body>
 <h1>Pictures from exact patches</h1>
