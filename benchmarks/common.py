@@ -26,7 +26,7 @@ __all__ = [
     "Timing",
     "camera_rays",
     "child",
-    "into_unit_ball",
+    "into_view",
     "machine",
     "mesh",
     "random_rays",
@@ -108,11 +108,11 @@ def to_rays(o: np.ndarray, d: np.ndarray) -> Any:
 # ---------------------------------------------------------------------- surfaces
 
 
-def into_unit_ball(patches: mb.BezierTriangles) -> mb.BezierTriangles:
-    """Move and scale patches so that their box fits into the ball of radius one."""
+def into_view(patches: mb.BezierTriangles) -> mb.BezierTriangles:
+    """Move and scale patches so that they fill the frame of `camera_rays`, 2.4 wide."""
     box = patches.bounds()
     low, high = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
-    scale = 2.0 / float(np.linalg.norm(high - low))
+    scale = 2.4 / float((high - low).max())
     matrix = np.diag([scale, scale, scale, 1.0])
     matrix[:3, 3] = -scale * (low + high) / 2
     return patches.transform(matrix)

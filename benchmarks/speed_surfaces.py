@@ -8,7 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from common import into_unit_ball
+from common import into_view
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
@@ -42,12 +42,12 @@ _TEAPOT = Path(__file__).parents[1] / "scenes" / "models" / "teapot.vtu"
 
 @cache
 def patches_of(name: str) -> mb.BezierTriangles:
-    """Return the patches of a surface of `BEZIER`, inside of the unit ball."""
+    """Return the patches of a surface of `BEZIER`, as large as the rays of `common` want it."""
     if name == "sphere, tetrahedral":
         return mb.sphere(cover="tetrahedral")
     if name.startswith("sphere"):
         return mb.sphere(cover="octants")
-    return into_unit_ball(mb.torus() if name == "torus" else mb.load(_TEAPOT))
+    return into_view(mb.torus() if name == "torus" else mb.load(_TEAPOT))
 
 
 def tensor(patches: mb.BezierTriangles) -> Any:
