@@ -201,9 +201,9 @@ def test_collapsed_corners_and_edges_have_finite_fields():
 
 @pytest.mark.parametrize("dp_du", [[0, 0, 0], [0, 0, 1e-9], [0, 1e-30, 0], [1e-7, 0, 1]])
 def test_a_frame_where_the_partial_has_no_direction(dp_du):
-    from mitsuba_bezier.plugins.interaction import _shading_frame
+    from mitsuba_bezier.plugins.interaction import shading_frame
 
-    frame = _shading_frame(mi.Normal3f(0, 0, 1), mi.Vector3f(*dp_du))
+    frame = shading_frame(mi.Normal3f(0, 0, 1), mi.Vector3f(*dp_du))
     axes = np.array([np.array(x).ravel() for x in (frame.s, frame.t, frame.n)])
     assert np.abs(axes @ axes.T - np.eye(3)).max() < 1e-6
 
