@@ -135,8 +135,8 @@ def make_aov_class() -> type:
         - :monosp:`duv_dx`, :monosp:`duv_dy`: texture coordinates by pixels.
         - :monosp:`prim_index`, :monosp:`shape_index`: number of the patch in its shape, and
           Mitsuba's number of the shape.
-        - :monosp:`boundary_test`: 0 at silhouettes and open edges, 1 where nothing is seen (as
-          up to Mitsuba 3.5).
+        - :monosp:`boundary_test`: 0 at silhouettes and open edges (not at trimming curves), 1
+          where nothing is seen (as up to Mitsuba 3.5).
         - :monosp:`patch`: number of the patch among all Bézier patches of the scene, from 0 in
           the order of its shapes, and -1 elsewhere.
 

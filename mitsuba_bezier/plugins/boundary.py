@@ -18,7 +18,7 @@ def boundary_test(rays: SceneRays, hit: Preliminary, si: Any, ray: Any, active: 
 
     It is the smaller one of the cosine between the ray and the normal and of the barycentric
     coordinate that is 0 on the open edge; 1 where nothing was hit. Up to version 3.5 Mitsuba's
-    spheres had the first, its rectangles the second.
+    spheres had the first, its rectangles the second. Trimming curves are no edges here.
     """
     result = dr.abs(dr.dot(si.n, dr.normalize(ray.d)))
     if rays.data is not None:
