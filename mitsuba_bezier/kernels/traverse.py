@@ -8,7 +8,8 @@ import drjit as dr
 
 from ..geometry.tree import NO_LEAF
 from .arrays import Types, dot3, gather_packets, types_of
-from .graph import ChartLine, cull, march
+from .chart import ChartLine, cull
+from .march import march
 from .quadric import group_hit
 from .section import section_parameters
 from .structure import DOMAIN, NODE, Structure
