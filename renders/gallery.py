@@ -173,7 +173,7 @@ def main() -> None:
             make(known[name])
         if not args.names:
             words = ["--resolution", "1024", "--html", "renders/verification.html"]
-            mitsuba_bezier("verify", *words, "--html-size", "192")
+            mitsuba_bezier("verify", *words, "--html-size", "160")
     (HERE / "index.html").write_text(index(), encoding="utf-8")
     (HERE / "README.md").write_text(readme(), encoding="utf-8")
 
