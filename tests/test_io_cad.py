@@ -427,6 +427,55 @@ def test_rhino_evaluation(rhino, tmp_path):
             np.testing.assert_allclose(point, [wanted.X, wanted.Y, wanted.Z], atol=1e-12)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_rhino_faces_trimmed_by_curves(rhino, turned):
+    """A cylinder cut by an oblique plane; rhino3dm cannot make such Breps, so we play one."""
+    r, h, a = 1.5, 2.0, 0.7
+
+    def conic(height):  # the closed curve z = height + a x / r on the cylinder
+        curve = rhino.Circle(rhino.Point3d(0, 0, 0), r).ToNurbsCurve()
+        for k in range(len(curve.Points)):
+            p = curve.Points[k]
+            z = height * p.W + (a * p.X / r if height else 0.0)
+            curve.Points[k] = rhino.Point4d(p.X, p.Y, z, p.W)
+        return curve
+
+    def edge(curve):
+        return SimpleNamespace(ToNurbsCurve=lambda: curve)
+
+    cylinder = rhino.Cylinder(rhino.Circle(rhino.Point3d(0, 0, 0), r), 4.0)
+    surface = cylinder.ToNurbsSurface()
+    top, bottom = conic(h), conic(0.0)
+    start = top.PointAtStart
+    seam = rhino.LineCurve(bottom.PointAtStart, start).ToNurbsCurve()
+    brep = SimpleNamespace(Edges=[edge(bottom), edge(seam), edge(top)])
+    order = ((0, False), (1, False), (2, True), (1, True))
+    trims = [SimpleNamespace(EdgeIndex=k, IsReversed=back) for k, back in order]
+    face = SimpleNamespace(
+        UnderlyingSurface=lambda: surface,
+        OrientationIsReversed=turned,
+        Loops=[SimpleNamespace(TrimCount=4, Trims=trims)],
+    )
+    (part,) = rhino_reader._brep_face(brep, face, True)
+    patches, left = BezierTriangles(part[0]), part[1]
+    assert patches.degree == 3 and (left.region >= 0).any()
+    uv = np.random.default_rng(0).dirichlet([1, 1, 1], 500)[:, :2]
+    normal_out = 0
+    for k in range(len(patches)):
+        x, y, z = patches.points(k, uv).T
+        off = z - (h + a * x / r)
+        # 1e-6: the edge is followed to 1e-7 of the size of the surface, which is 6
+        sure = np.abs(off) > 1e-6
+        np.testing.assert_array_equal(left.inside(k, uv)[sure], (off < 0)[sure])
+        normal = patches.normals(k, uv)
+        normal_out += int(np.sign((normal[:, 0] * x + normal[:, 1] * y).mean()))
+    assert normal_out == (-1 if turned else 1) * len(patches)
+    # without trims: the same area, restricted
+    nets = rhino_reader._brep_face(brep, face, False)
+    area = integrals([BezierTriangles(net) for net, none in nets if none is None])[0]
+    assert area == pytest.approx(2 * np.pi * r * h, rel=1e-5)
+
+
 @pytest.mark.parametrize("data", [b"", b"garbage" * 100, b"3D Geometry File Format 7" + b"\1" * 99])
 def test_bad_rhino_files(rhino, tmp_path, data):
     path = tmp_path / "a.3dm"

@@ -388,5 +388,5 @@ def test_closest_and_pull_back():
     # the edge v = 1 of the patch is a curve on it
     edge = net[:, 0]
     t = np.linspace(0, 1, 7)
-    back = surface.pull_back(edge, t)
+    back = surface.pulled_back(edge)(t)
     np.testing.assert_allclose(back, np.column_stack([2 * t, np.ones(7)]), atol=1e-7)

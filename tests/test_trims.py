@@ -274,6 +274,26 @@ def test_kernel_is_the_oracle(many, levels):
     assert len(differ) <= 5
 
 
+def test_a_patch_that_sees_little_of_a_region():
+    """A thousandth of a long curve: pieces are cut to what float32 resolves near the patch."""
+    rng = np.random.default_rng(9)
+    big = circle((0, 0), 1)
+    angles = rng.uniform(0, 2 * np.pi, 40)
+    size = 1e-3
+    low = np.stack([np.cos(angles), np.sin(angles)], axis=1) - size * rng.random((40, 2))
+    place = np.stack([low, np.full((40, 2), size)], axis=1)
+    trims = Trims([big], np.zeros(40, int), [square_map()] * 40, place)
+    table = build_table(trim_cells(trims)[0], mi.Float)
+    patch = rng.integers(0, 40, 20000)
+    uv = rng.random((20000, 2)).astype(np.float32).astype(float)
+    x = trims.parameters(patch, uv)
+    off = (np.hypot(*x.T) - 1) / size
+    got = np.array(keep(table, mi.UInt32(patch), mi.Float(uv[:, 0]), mi.Float(uv[:, 1])))
+    # 1.5e-6 of the patch, as for the others: not of the region
+    sure = np.abs(off) > 1.5 * SLACK
+    assert (got == (off < 0))[sure].all() and sure.sum() > 19990
+
+
 def test_points_on_a_curve_belong_to_both_sides():
     """Two patches that share a trimming curve leave no gap: points on it are on both."""
     rng = np.random.default_rng(8)

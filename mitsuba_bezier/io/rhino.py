@@ -267,7 +267,8 @@ def _boundary(
         curves: list[np.ndarray] = []
         for piece, number in loop:
             t = np.linspace(0, 1, 9)
-            uv = surface.pull_back(piece, t)
+            place = surface.pulled_back(piece)
+            uv = place(t)
             off = np.linalg.norm(surface.jet(uv)[0] - bezier_points(piece, t), axis=1).max()
             if off > 1e-4 * surface.size:
                 return "an edge that does not lie on its surface"
@@ -289,9 +290,6 @@ def _boundary(
                         line[:, axis] = high if seen[(number, b"side")] else low
                 curves.append(np.column_stack([line, np.ones(2)]))
                 continue
-
-            def place(t: np.ndarray, piece: np.ndarray = piece) -> np.ndarray:
-                return surface.pull_back(piece, t)
 
             fitted = fit_parabolas(place, scale, accuracy * surface.size)
             if fitted is None:
