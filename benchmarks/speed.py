@@ -38,7 +38,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
 
 #: A run that touches everything and measures nothing.
 TINY = Options(
-    million=0.004, runs=1, renders=1, side=16, spp=1, mesh_unit=1e3, large=True, patches=(1, 20)
+    million=0.004, runs=1, renders=1, side=16, spp=2, mesh_unit=1e3, large=True, patches=(1, 20)
 )
 
 

@@ -113,6 +113,19 @@ def kernels_of(task: Any) -> dict[str, float]:
     }
 
 
+def bytes_per_sample(scene: Any, options: Options) -> float:
+    """Return how the peak of Dr.Jit's memory grows with the samples of one pass."""
+    peak = []
+    few = max(1, options.spp // 4)
+    for spp in (few, options.spp):
+        dr.flush_malloc_cache()
+        dr.detail.malloc_clear_statistics()
+        dr.eval(mi.render(scene, spp=spp, seed=0))
+        dr.sync_thread()
+        peak.append(dr.detail.malloc_watermark(dr.backend_v(mi.Float)))
+    return (peak[1] - peak[0]) / (options.side**2 * (options.spp - few))
+
+
 def measure(options: Options) -> list[dict[str, Any]]:
     """Render all scenes in turns."""
     scenes = cases(options)
@@ -122,13 +135,9 @@ def measure(options: Options) -> list[dict[str, Any]]:
         for name, scene in scenes.items()
     }
     times = time_in_turns(tasks, options.renders)
-    backend = dr.backend_v(mi.Float)
-    samples = options.side**2 * options.spp
     rows = []
     for name, scene in scenes.items():
-        dr.detail.malloc_clear_statistics()
         again = kernels_of(tasks[name])
-        peak = dr.detail.malloc_watermark(backend)
         changed = 0
         if "ball.control_points" in (params := mi.traverse(scene)):
             params["ball.control_points"] = params["ball.control_points"] * 1.0
@@ -146,7 +155,7 @@ def measure(options: Options) -> list[dict[str, Any]]:
                 "others": again["others"],
                 "compiled_again": again["compiled"],
                 "compiled_after_update": changed,
-                "bytes_per_sample": peak / samples,
+                "bytes_per_sample": bytes_per_sample(scene, options),
                 "mean": again["mean"],
                 **times[name].as_row(),
             }
