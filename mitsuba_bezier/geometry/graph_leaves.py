@@ -211,10 +211,11 @@ def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, n
     apex = np.zeros((len(nets), 4))
     apex[:, :3] = unit
     scale = np.linalg.norm(basis, axis=-1)
-    with np.errstate(all="ignore"):
+    if not finite.all():
         # fourth point of a projective chart: orthogonal to the corners, of their size
-        _u, _s, vt = np.linalg.svd(np.where(np.isfinite(basis), basis, 0.0))
-    apex = np.where(finite[:, None], apex, vt[:, 3] * scale.mean(axis=1)[:, None])
+        far = basis[~finite]
+        _u, _s, vt = np.linalg.svd(np.where(np.isfinite(far), far, 0.0))
+        apex[~finite, :] = vt[:, 3] * scale[~finite].mean(axis=1)[:, None]
     basis = np.concatenate([basis, apex[:, None]], axis=1)
     usable = np.isfinite(basis).all(axis=(1, 2))
     basis[~usable] = np.eye(4)
