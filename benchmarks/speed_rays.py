@@ -158,11 +158,13 @@ def sections(data: dict[str, Any]) -> list[Section]:
             "Ratio of rays a second, best runs (required)",
             ["Bézier", "against", *titles],
             [row(pair, "ratio") for pair in pairs],
+            text_columns=2,
         ),
         Section(
             "The same by processor time",
             ["Bézier", "against", *titles],
             [row(pair, "ratio_cpu") for pair in pairs],
+            text_columns=2,
         ),
         Section(
             "Million rays a second, best run (median)",
