@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from typing import Any
 
@@ -345,11 +346,13 @@ def test_steps_of_an_optimisation_share_their_kernels(indoors):
             dr.eval()
             losses.append(float(loss.array[0]))
             history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
-            kernels = {k["hash"] for k in history}
+            # a kernel may come from the disk, and one that reads memory of another alignment is
+            # another to Dr.Jit: their text is compared, without that and without their names
+            without = re.compile(r"align \d+|drjit_\w+|i32 \d+, <\d+ x i1>")
+            kernels = {without.sub("", k["ir"].getvalue()) for k in history}
             fresh.append(len(kernels - known))
             known |= kernels
     set_net(params, WIDE)
-    # by their hashes: a kernel may also come from the disk
     assert fresh[0] > 0 and fresh[2:] == [0, 0]
     assert losses[-1] < losses[0]
     # structures of earlier steps are gone

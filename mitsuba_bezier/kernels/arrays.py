@@ -53,9 +53,14 @@ def upload(array_type: Any, values: np.ndarray) -> Any:
     """Copy a NumPy array to a flat Dr.Jit array in memory that Dr.Jit allocated.
 
     Packet gathers need 64-byte alignment and silently fall back without it; an array made
-    straight from NumPy may alias memory that has less.
+    straight from NumPy may alias memory that has less. What is copied is aligned, too: Dr.Jit
+    would compile the copy anew for each alignment that NumPy happens to have.
     """
-    flat = np.ascontiguousarray(values).reshape(-1)
+    values = np.asarray(values)
+    memory = np.empty(values.nbytes + 64, dtype=np.uint8)
+    first = -memory.ctypes.data % 64
+    flat = memory[first : first + values.nbytes].view(values.dtype)
+    flat[:] = values.reshape(-1)
     result = dr.zeros(array_type, flat.size)
     dr.scatter(result, array_type(flat), dr.arange(dr.uint32_array_t(array_type), flat.size))
     dr.eval(result)
