@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mitsuba_bezier.geometry import bernstein, shapes
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
@@ -31,3 +32,14 @@ def test_a_cone_has_few_leaves() -> None:
     # 93 a level and patch down to 1e-6 of the apex' height, which is level 10: about 2800;
     # before, ten million
     assert len(build_leaves(cone)) < 4000
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 9])
+def test_nets_over_triangles_are_those_of_the_matrices(n: int) -> None:
+    rng = np.random.default_rng(n)
+    net = rng.normal(size=(bernstein.size(n), 4))
+    corners = rng.normal(size=(5, 3, 3))
+    expected = np.stack([bernstein.subdivision_matrix(n, c) @ net for c in corners])
+    # the same affine combinations in another order, each step a few roundings
+    tolerance = n * 1e-15 * np.abs(expected).max()
+    np.testing.assert_allclose(bernstein.subdivide(net, corners), expected, atol=tolerance)

@@ -26,6 +26,7 @@ __all__ = [
     "row",
     "size",
     "split_matrices",
+    "subdivide",
     "subdivision_matrix",
 ]
 
@@ -166,6 +167,36 @@ def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
         return steps[n - m][which] @ rest
 
     return np.concatenate([blossom(int(i), int(j), int(k)) for i, j, k in multi_indices(n)])
+
+
+def subdivide(net: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return the nets over domain triangles; as `subdivision_matrix`, without the matrices.
+
+    Parameters
+    ----------
+    net : (K, C) array
+    corners : (T, 3, 3) array
+        Barycentric coordinates of the new corners, one a row, of each triangle.
+
+    Returns
+    -------
+    (T, K, C) array
+    """
+    n = degree_of(len(net))
+    corners = np.asarray(corners, dtype=np.float64)
+    partial = {(0, 0, 0): np.broadcast_to(net, (len(corners), *net.shape))}
+    for m in range(1, n + 1):  # m arguments of the blossom are given, n - m are left
+        i, j, _k = multi_indices(n - m).T
+        above = [[row(n - m + 1, a + x, b + y) for a, b in zip(i.tolist(), j.tolist())]
+                 for x, y in ((1, 0), (0, 1), (0, 0))]  # fmt: skip
+        following = {}
+        for given in map(tuple, multi_indices(m).tolist()):
+            which = next(c for c in range(3) if given[c])
+            before = partial[tuple(g - (c == which) for c, g in enumerate(given))]
+            weights = corners[:, which, :, None, None]
+            following[given] = sum(weights[:, c] * before[:, above[c]] for c in range(3))
+        partial = following
+    return np.stack([partial[tuple(x)][:, 0] for x in multi_indices(n).tolist()], axis=1)
 
 
 #: Corners of the four midpoint sub-triangles: at A, at B, at C, and the middle one turned by a

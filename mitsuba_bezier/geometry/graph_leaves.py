@@ -56,9 +56,8 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         numbers = [np.repeat(patch[plain], 4)]
         for i in np.flatnonzero(~plain):
             triangles, end = strips(nets[i], int(corner[i]))
-            matrices = [bernstein.subdivision_matrix(n, t) for t in triangles]
             inner = domain[i] @ triangles.transpose(0, 2, 1)
-            parts.append((np.stack(matrices) @ nets[i], inner))
+            parts.append((bernstein.subdivide(nets[i], triangles), inner))
             numbers.append(np.full(len(triangles), patch[i]))
             if end > 0:
                 caps, inner = fan(nets[i], int(corner[i]), end)
