@@ -8,7 +8,7 @@ from . import bernstein
 from .leaves import DEVIATION, FORM_ENTRIES, Leaves
 from .triangles import BezierTriangles
 
-__all__ = ["centre_and_size", "grouped", "quadric_leaves"]
+__all__ = ["centre_and_size", "fit_forms", "grouped", "quadric_leaves"]
 
 
 def quadric_leaves(
@@ -195,15 +195,25 @@ def _fit_together(
     lattice = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
     points = (bernstein.basis(n, lattice) @ patches.control_points[part]).reshape(-1, 4)
     points[:, :3] = (points[:, :3] - points[:, 3:] * middle) / scale
-    points /= np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-300)
-    columns = [(1 if i == j else 2) * points[:, i] * points[:, j] for i, j in FORM_ENTRIES]
+    form, s = fit_forms(points[None])
+    return form[0] if s[0, -2] > 1e-3 * s[0, 0] else None
+
+
+def fit_forms(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit quadrics to homogeneous points ``(P, S, 4)``, in the sense of least squares.
+
+    Returns
+    -------
+    forms : (P, 4, 4) array
+        Their matrices, of unit length as ten numbers.
+    singular : (P, 10) array
+        Singular values: the last is the residual; the one before tells how far the next is.
+    """
+    length = np.linalg.norm(points, axis=2, keepdims=True)
+    unit = points / np.maximum(length, 1e-300)
+    columns = [(1 if i == j else 2) * unit[..., i] * unit[..., j] for i, j in FORM_ENTRIES]
     _u, s, vt = np.linalg.svd(np.stack(columns, axis=-1), full_matrices=False)
-    if not s[-2] > 1e-3 * s[0]:
-        return None
-    form = np.zeros((4, 4))
-    for c, (i, j) in enumerate(FORM_ENTRIES):
-        form[i, j] = form[j, i] = vt[-1, c]
-    return form
+    return _matrices(vt[:, -1]), s
 
 
 def _matrices(form: np.ndarray) -> np.ndarray:

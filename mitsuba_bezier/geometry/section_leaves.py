@@ -11,7 +11,7 @@ import numpy as np
 
 from . import bernstein
 from .leaves import FORM, FORM_ENTRIES, SECTION, Leaves
-from .quadric_groups import centre_and_size, quadric_leaves
+from .quadric_groups import centre_and_size, fit_forms, quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["section_leaves"]
@@ -103,14 +103,8 @@ def _edge_planes(local: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
 def _fit(local: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Fit an ellipsoid; return matrices ``(P, 4, 4)``, negative inside, and where it fits."""
     lattice = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
-    points = bernstein.basis(n, lattice) @ local
-    points = points / np.linalg.norm(points, axis=2, keepdims=True)
-    columns = [(1 if i == j else 2) * points[..., i] * points[..., j] for i, j in FORM_ENTRIES]
-    _u, s, vt = np.linalg.svd(np.stack(columns, axis=-1), full_matrices=False)
+    forms, s = fit_forms(bernstein.basis(n, lattice) @ local)
     found = (s[:, -1] <= _ROUNDING * s[:, 0]) & (s[:, -2] > _DETERMINED * s[:, 0])
-    forms = np.zeros((len(local), 4, 4))
-    for c, (i, j) in enumerate(FORM_ENTRIES):
-        forms[:, i, j] = forms[:, j, i] = vt[:, -1, c]
     forms *= np.sign(np.trace(forms[:, :3, :3], axis1=1, axis2=2))[:, None, None]
     axes = np.linalg.eigvalsh(forms[:, :3, :3])
     found &= axes[:, 0] > _DETERMINED * axes[:, 2]

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import _runtime
-from ..errors import BezierError
+from .depths import check_depths
 from .emitters import EmitterSampling
 from .interaction import Preliminary
 from .scene import SceneRays
@@ -51,16 +51,7 @@ def make_path_class() -> type:
 
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
-            # the base class has `path`'s rule for -1 but other defaults
-            for key, default, least, words in (
-                ("max_depth", -1, -1, "an integer >= 0, or -1 for no limit"),
-                ("rr_depth", 5, 1, "an integer > 0"),
-            ):
-                if key not in props:
-                    props[key] = default
-                value = props[key]
-                if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                    raise BezierError.expected(key, words, repr(value))
+            check_depths(props)
             super().__init__(props)
             #: Whether a derivative without any contribution within surfaces is no mistake
             self.interior_may_be_constant = False

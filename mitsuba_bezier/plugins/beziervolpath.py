@@ -11,6 +11,7 @@ import mitsuba as mi
 from .. import _runtime
 from ..errors import BezierError
 from .bezierpath import mis_weight
+from .depths import check_depths
 from .emitters import EmitterSampling
 from .interaction import Preliminary
 from .media import Media, flight_channel, flight_weight, hit_distance, transmittance
@@ -58,15 +59,7 @@ def make_volpath_class() -> type:
 
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
-            for key, default, least, words in (
-                ("max_depth", -1, -1, "an integer >= 0, or -1 for no limit"),
-                ("rr_depth", 5, 1, "an integer > 0"),
-            ):
-                if key not in props:
-                    props[key] = default
-                value = props[key]
-                if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                    raise BezierError.expected(key, words, repr(value))
+            check_depths(props)
             super().__init__(props)
             self._sensor_medium: Any = None
 

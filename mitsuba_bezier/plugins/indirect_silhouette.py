@@ -10,7 +10,7 @@ import mitsuba as mi
 from .attached import attached_tables, is_attached
 from .bezierpath import trace
 from .boundary_lines import BoundaryLines
-from .primary_silhouette import surface_at
+from .primary_silhouette import splatted, surface_at
 from .scene import SceneRays
 
 __all__ = ["indirect_silhouette_image"]
@@ -67,18 +67,7 @@ def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: An
     moving = dr.select(active, dr.dot(p, boundary.n), 0.0)
     value = dr.select(active, value, 0.0) * dr.replace_grad(mi.Float(0), moving)
 
-    block = film.create_block(normalize=True)
-    block.set_coalesce(block.coalesce() and spp >= 4)
-    block.put(
-        pos=position,
-        wavelengths=wavelengths,
-        value=value,
-        weight=0,
-        alpha=1,
-        active=active,
-    )
-    film.put_block(block)
-    return film.develop()
+    return splatted(film, position, wavelengths, value, spp, active)
 
 
 def _importance(

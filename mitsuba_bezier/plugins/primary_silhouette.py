@@ -15,7 +15,7 @@ from .interaction import Preliminary
 from .scene import SceneRays
 from .silhouette import Discrete, SilhouetteCurves
 
-__all__ = ["FilmMap", "primary_silhouette_image", "surface_at"]
+__all__ = ["FilmMap", "primary_silhouette_image", "splatted", "surface_at"]
 
 #: How far to the side of a curve the background is looked up, in pixels: far above the rounding
 #: of film positions in float32, far below what an image shows.
@@ -136,10 +136,16 @@ def primary_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: Any
     motion = dr.replace_grad(mi.Float(0), dr.dot(moving, across))
     value = difference * dr.select(active, motion * scale, 0.0)
 
+    on_film = mi.Point2f(position + mi.Vector2f(mi.ScalarVector2f(film.crop_offset())))
+    return splatted(film, on_film, wavelengths, value, spp, active)
+
+
+def splatted(film: Any, position: Any, wavelengths: Any, value: Any, spp: int, active: Any) -> Any:
+    """Return the image of values that are added to the film where they belong, without weight."""
     block = film.create_block(normalize=True)
     block.set_coalesce(block.coalesce() and spp >= 4)
     block.put(
-        pos=mi.Point2f(position + mi.Vector2f(mi.ScalarVector2f(film.crop_offset()))),
+        pos=position,
         wavelengths=wavelengths,
         value=value,
         weight=0,
