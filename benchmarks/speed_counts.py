@@ -45,7 +45,9 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     """
     lane = dr.opaque(types_of(mi.Float).UInt, 0, width) + dr.arange(types_of(mi.Float).UInt, width)
     dr.eval(lane)
-    names = {getattr(structure, name).index: name for name in RECORDS}
+    buffers = {name: getattr(structure, name) for name in RECORDS}
+    buffers["nodes"] = structure.nodes.records
+    names = {buffer.index: name for name, buffer in buffers.items()}
     counters: dict[str, Any] = {n: dr.zeros(types_of(mi.Float).UInt, width) for n in RECORDS}
     dr.eval(counters)
     packets: dict[str, int] = {}

@@ -17,8 +17,8 @@ from speed_surfaces import bezier_shape, height_field, patches_of
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.kernels import structure as structure_module
-from mitsuba_bezier.kernels.structure import Structure
+from mitsuba_bezier.kernels import nodes as nodes_module
+from mitsuba_bezier.kernels.structure import Structure, build_structure
 
 __all__ = ["measure", "net_bytes", "sections"]
 
@@ -39,7 +39,7 @@ class Clock:
 def _timed_tree() -> Iterator[dict[str, float]]:
     """Add up what the trees take while structures are built."""
     spent = {"wall": 0.0, "cpu": 0.0}
-    build = structure_module.build_tree
+    build = nodes_module.build_tree
 
     def timed(*args: Any, **kwargs: Any) -> Any:
         clock = Clock()
@@ -48,11 +48,11 @@ def _timed_tree() -> Iterator[dict[str, float]]:
             spent[key] += value
         return result
 
-    structure_module.build_tree = timed
+    nodes_module.build_tree = timed
     try:
         yield spent
     finally:
-        structure_module.build_tree = build
+        nodes_module.build_tree = build
 
 
 def net_bytes(structure: Structure) -> int:
@@ -71,7 +71,7 @@ def build(patches: mb.BezierTriangles) -> tuple[Structure, dict[str, dict[str, f
     first = clock.read()
     with _timed_tree() as tree:
         clock = Clock()
-        structure = structure_module.build_structure(leaves, mi.Float)
+        structure = build_structure(leaves, mi.Float)
         dr.sync_thread()
         rest = clock.read()
     rest = {key: rest[key] - tree[key] for key in rest}

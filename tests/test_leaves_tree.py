@@ -9,7 +9,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import FORM_ENTRIES, LEAST, LeafSettings, Leaves
-from mitsuba_bezier.geometry.tree import NO_LEAF, build_tree
+from mitsuba_bezier.geometry.tree import NO_LEAF, Tree, build_tree
 
 # ---------------------------------------------------------------- nets
 
@@ -452,69 +452,73 @@ BOXES = {
 
 
 @pytest.fixture(scope="module", params=BOXES)
-def tree(request) -> tuple:
+def tree(request) -> tuple[np.ndarray, Tree]:
     boxes = BOXES[request.param]
-    return (boxes, *build_tree(boxes))
+    return boxes, build_tree(boxes)
 
 
-def test_each_octant_holds_each_leaf_once(tree):
-    boxes, bounds, skip, leaf = tree
-    count = len(boxes)
-    assert bounds.shape == (8, 2 * count - 1, 2, 3)
-    assert skip.shape == leaf.shape == (8, 2 * count - 1)
-    for octant in range(8):
-        is_leaf = leaf[octant] != NO_LEAF
-        assert sorted(leaf[octant][is_leaf]) == list(range(count))
-        assert np.array_equal(bounds[octant][is_leaf], boxes[leaf[octant][is_leaf]])
+def test_each_leaf_is_one_node(tree):
+    boxes, t = tree
+    is_leaf = t.leaf != NO_LEAF
+    assert sorted(t.leaf[is_leaf]) == list(range(len(boxes)))
+    assert np.array_equal(t.bounds[is_leaf], boxes[t.leaf[is_leaf]])
+    assert len(t.inner) == len(boxes) - 1
+    assert not is_leaf[t.inner].any()
 
 
-def test_skip_pointers_and_boxes(tree):
-    _boxes, bounds, skip, leaf = tree
-    total = skip.shape[1]
-    for octant in range(8):
-        assert skip[octant, 0] == total
-        for node in range(total):
-            end = int(skip[octant, node])
-            if leaf[octant, node] != NO_LEAF:
-                assert end == node + 1
-                continue
-            first, second = node + 1, int(skip[octant, node + 1])
-            assert node < first < second < end <= total
-            assert skip[octant, second] == end  # two children fill the subtree
-            lower = np.minimum(bounds[octant, first, 0], bounds[octant, second, 0])
-            upper = np.maximum(bounds[octant, first, 1], bounds[octant, second, 1])
-            # exactly: a float32 copy of a parent must not be smaller than its child
-            assert np.array_equal(bounds[octant, node], [lower, upper])
+def test_children_fill_their_parents(tree):
+    _boxes, t = tree
+    is_node = t.leaf != NO_LEAF
+    is_node[t.inner] = True
+    assert is_node[1] and not is_node[0]
+    for node in t.inner:
+        assert is_node[2 * node] and is_node[2 * node + 1]
+        lower = np.minimum(t.bounds[2 * node, 0], t.bounds[2 * node + 1, 0])
+        upper = np.maximum(t.bounds[2 * node, 1], t.bounds[2 * node + 1, 1])
+        assert np.array_equal(t.bounds[node], [lower, upper])
 
 
-def walk(bounds: np.ndarray, skip: np.ndarray, leaf: np.ndarray, o: np.ndarray, d: np.ndarray):
-    """Traverse as the kernel does; return the leaves whose boxes the ray meets, in order."""
-    octant = int(sum(1 << a for a in range(3) if d[a] < 0))
+def test_trees_are_shallow(tree):
+    # the numbers of nodes must fit into memory, and their ancestors into 32 bits
+    boxes, t = tree
+    assert len(t.leaf) <= max(2, 5 * len(boxes))
+
+
+def walk(t: Tree, o: np.ndarray, d: np.ndarray) -> tuple[list[int], int]:
+    """Traverse nearer child first; return the leaves whose boxes the ray meets, in order."""
     with np.errstate(divide="ignore"):
         rcp = 1 / d
-    node, met, read = 0, [], 0
-    while node < skip.shape[1]:
-        read += 1
+    met: list[int] = []
+    read = 0
+
+    def entry(node: int) -> float:
         with np.errstate(invalid="ignore"):
-            slabs = (bounds[octant, node] - o) * rcp
+            slabs = (t.bounds[node] - o) * rcp
         enter = max(0.0, np.nanmax(slabs.min(axis=0)))
-        leave = np.nanmin(slabs.max(axis=0))
-        if enter <= leave:
-            if leaf[octant, node] != NO_LEAF:
-                met.append(int(leaf[octant, node]))
-            node += 1
-        else:
-            node = int(skip[octant, node])
+        return enter if enter <= np.nanmin(slabs.max(axis=0)) else np.inf
+
+    def visit(node: int) -> None:
+        nonlocal read
+        if t.leaf[node] != NO_LEAF:
+            met.append(int(t.leaf[node]))
+            return
+        read += 1
+        children = [2 * node, 2 * node + 1]
+        for child in sorted((c for c in children if entry(c) < np.inf), key=entry):
+            visit(child)
+
+    if entry(1) < np.inf:
+        visit(1)
     return met, read
 
 
 def test_traversal_meets_all_boxes_on_a_ray():
     boxes = BOXES["infinite"]
-    arrays = build_tree(boxes)
+    tree = build_tree(boxes)
     rng = np.random.default_rng(8)
     for _ in range(100):
         o, d = rng.normal(size=3) * [10, 2, 2], rng.normal(size=3)
-        met, _read = walk(*arrays, o, d)
+        met, _read = walk(tree, o, d)
         slabs = np.sort((boxes - o) / d, axis=1)
         enter = np.maximum(slabs[:, 0].max(axis=1), 0)
         expected = np.flatnonzero(enter <= slabs[:, 1].min(axis=1))
@@ -526,16 +530,16 @@ def test_trees_are_worth_their_keep():
     rng = np.random.default_rng(9)
     centre = rng.uniform(-1, 1, (1000, 3))
     boxes = np.stack([centre - 0.03, centre + 0.03], axis=1)
-    arrays = build_tree(boxes)
+    tree = build_tree(boxes)
     reads, ordered = [], []
     for _ in range(100):
         o = rng.normal(size=3)
         o *= 3 / np.linalg.norm(o)
         d = rng.uniform(-0.7, 0.7, 3) - o
-        met, read = walk(*arrays, o, d)
+        met, read = walk(tree, o, d)
         reads.append(read)
         place = (boxes[met].mean(axis=1) - o) @ d
         if len(met) > 2:
             ordered.append(np.corrcoef(np.arange(len(met)), place)[0, 1])
-    assert np.mean(reads) < 150  # of 1999
+    assert np.mean(reads) < 75  # of 999
     assert np.mean(ordered) > 0.9

@@ -1,82 +1,57 @@
-"""A binary tree of axis-aligned boxes, laid out for traversal without a stack.
+"""A binary tree of axis-aligned boxes whose nodes are numbered as in a heap.
 
-The tree is built by the surface area heuristic on binned centroids, level by level, so that
-all nodes of a level are handled by the same few NumPy calls. It is then written out eight
-times in depth-first order, once for each octant of ray directions, near child first: a
-traversal reads nodes one after the other and, when it misses one, jumps over its subtree.
+The root is node 1, the children of node ``k`` are ``2 k`` and ``2 k + 1``, so parents and siblings
+need no pointers and a traversal needs no stack (Binder and Keller, "Efficient Stackless Hierarchy
+Traversal on GPUs with Backtracking in Constant Time", 2016, who hash such numbers; here the tree
+is kept shallow enough to store all of them). It is built by the surface area heuristic on binned
+centroids, level by level, so that all nodes of a level are handled by the same few NumPy calls.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-__all__ = ["NO_LEAF", "build_tree"]
+__all__ = ["NO_LEAF", "Tree", "build_tree"]
 
-#: Value of `leaf` in an inner node.
+#: Value of `Tree.leaf` in nodes that are no leaves.
 NO_LEAF = 0xFFFFFFFF
 
 _BINS = 16
 
+#: A tree has room for at least so many times its leaves: with less, the heuristic would have little
+#: choice where to cut; with more, most of the room would stay empty.
+_ROOM = 1.25
 
-def build_tree(boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Build the eight depth-first layouts.
 
-    Parameters
-    ----------
-    boxes : (L, 2, 3) array
-        One box a leaf; faces may be infinite.
+@dataclass
+class Tree:
+    """The nodes by number; most numbers may be unused."""
 
-    Returns
-    -------
-    bounds : (8, N, 2, 3) array
-        Boxes of the ``N = 2 L - 1`` nodes in order, for each octant. Bit ``a`` of the octant
-        is set where the direction's component ``a`` is negative.
-    skip : (8, N) uint32 array
-        The node that follows the subtree.
-    leaf : (8, N) uint32 array
-        The leaf number, `NO_LEAF` for inner nodes.
+    bounds: np.ndarray  #: (K, 2, 3) boxes of the nodes
+    leaf: np.ndarray  #: (K,) uint32 number of the leaf, `NO_LEAF` in inner nodes and unused ones
+    inner: np.ndarray  #: numbers of the inner nodes, ascending
+
+
+def build_tree(boxes: np.ndarray) -> Tree:
+    """Build the tree over boxes ``(L, 2, 3)``, whose faces may be infinite.
+
+    Each leaf is one node; a single leaf is the root.
     """
-    left, right, axis, bounds, leaf, levels = _topology(boxes)
-    count = len(left)
-    subtree = np.ones(count, dtype=np.int64)
-    for nodes in reversed(levels):
-        inner = nodes[left[nodes] >= 0]
-        subtree[inner] += subtree[left[inner]] + subtree[right[inner]]
-    out_bounds = np.empty((8, count, 2, 3))
-    out_skip = np.empty((8, count), dtype=np.uint32)
-    out_leaf = np.empty((8, count), dtype=np.uint32)
-    for octant in range(8):
-        position = np.zeros(count, dtype=np.int64)
-        for nodes in levels:
-            inner = nodes[left[nodes] >= 0]
-            turned = (octant >> axis[inner]) & 1 == 1
-            near = np.where(turned, right[inner], left[inner])
-            far = np.where(turned, left[inner], right[inner])
-            position[near] = position[inner] + 1
-            position[far] = position[inner] + 1 + subtree[near]
-        out_bounds[octant, position] = bounds
-        out_skip[octant, position] = position + subtree
-        out_leaf[octant, position] = leaf
-    return out_bounds, out_skip, out_leaf
-
-
-def _topology(boxes: np.ndarray) -> tuple:
-    """Build the tree breadth first; children have larger numbers than parents."""
     count = len(boxes)
-    total = 2 * count - 1
-    left = np.full(total, -1, dtype=np.int64)
-    right = np.full(total, -1, dtype=np.int64)
-    axis = np.zeros(total, dtype=np.int64)
+    depth = int(np.ceil(np.log2(_ROOM * count))) if count > 1 else 0
+    total = 2 << depth
     leaf = np.full(total, NO_LEAF, dtype=np.uint32)
-    bounds = np.empty((total, 2, 3))
+    bounds = np.zeros((total, 2, 3))
     finite = np.clip(np.nan_to_num(boxes, posinf=np.inf, neginf=-np.inf), -_FAR, _FAR)
     centre = finite.mean(axis=1)
 
     order = np.arange(count)  # leaves, sorted so that each node owns a range
-    start, stop, nodes = np.array([0]), np.array([count]), np.array([0])
-    used, levels = 1, []
-    while len(nodes):
-        levels.append(nodes)
+    start, stop, nodes = np.array([0]), np.array([count]), np.array([1])
+    room = 1 << depth
+    levels = []
+    while True:
         length = stop - start
         member = np.repeat(np.arange(len(nodes)), length)
         offsets = np.concatenate([[0], np.cumsum(length)[:-1]])
@@ -89,19 +64,21 @@ def _topology(boxes: np.ndarray) -> tuple:
         split = np.flatnonzero(~single)
         if not len(split):
             break
-        split_axis, left_count, permuted = _split(finite, centre, items, member, offsets, length)
+        left_count, permuted = _split(finite, centre, items, member, offsets, length)
         order[slots] = permuted
-        axis[nodes] = split_axis
-        left[nodes[split]] = used + 2 * np.arange(len(split))
-        right[nodes[split]] = left[nodes[split]] + 1
-        used += 2 * len(split)
+        room //= 2
+        left_count = np.clip(left_count, length - room, room)
+        parents = nodes[split]
+        levels.append(parents)
         middle = start[split] + left_count[split]
-        nodes = np.stack([left[nodes[split]], right[nodes[split]]], axis=1).ravel()
+        nodes = np.stack([2 * parents, 2 * parents + 1], axis=1).ravel()
         start, stop = (
             np.stack([start[split], middle], axis=1).ravel(),
             np.stack([middle, stop[split]], axis=1).ravel(),
         )
-    return left, right, axis, bounds, leaf, levels
+    inner = np.sort(np.concatenate(levels)) if levels else np.zeros(0, dtype=np.int64)
+    used = 2 * int(inner[-1]) + 2 if len(inner) else 2
+    return Tree(bounds[:used], leaf[:used], inner)
 
 
 #: Infinite faces count as this far away when costs are compared.
@@ -115,8 +92,8 @@ def _split(
     member: np.ndarray,
     offsets: np.ndarray,
     length: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Choose for each node an axis and the size of its left part; return the items sorted."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Choose the size of each node's left part; return it and the items, sorted accordingly."""
     points = centre[items]
     low = np.minimum.reduceat(points, offsets)
     extent = np.maximum.reduceat(points, offsets) - low
@@ -140,7 +117,7 @@ def _split(
     left_count = left_count.astype(np.int64)
     # all centres in one place, or a lopsided bin: halve
     halve = (best_bin < 0) | (left_count == 0) | (left_count == length)
-    return best_axis, np.where(halve, length // 2, left_count), items[by_place]
+    return np.where(halve, length // 2, left_count), items[by_place]
 
 
 def _best_bins(

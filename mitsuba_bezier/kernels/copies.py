@@ -10,13 +10,14 @@ import numpy as np
 
 from ..geometry.tree import NO_LEAF
 from .arrays import dot3, gather_packets, types_of, upload
-from .structure import Structure, pack_nodes
-from .traverse import Hit, finish, is_ray, next_leaf, prepare, search
+from .nodes import Nodes, Walk, begin, build_nodes, next_leaf, prepare
+from .structure import Structure
+from .traverse import Hit, finish, is_ray, search
 
 __all__ = ["Copies", "build_copies", "intersect_copies"]
 
 #: Floats in the record of a copy: centre 3 and radius in space, rows of the inverse map 9, centre
-#: in the object 3, first node and nodes of an octant of the object's tree (as bits).
+#: in the object 3; as bits the first node of the object's tree, and 1 if its root is a leaf.
 COPY = 24
 
 
@@ -25,8 +26,7 @@ class Copies:
     """The copies of some objects."""
 
     structure: Structure  #: of the objects
-    nodes: Any  #: Float32, the tree of the copies, as `Structure.nodes`
-    node_count: Any  #: UInt, opaque
+    nodes: Nodes  #: the tree of the copies
     records: Any  #: Float32, x `COPY`
     count: int
     bytes: int  #: of the copies, without the objects
@@ -50,7 +50,7 @@ def build_copies(
     like : Float
     """
     ty = types_of(like)
-    nodes, trees = pack_nodes(boxes)
+    nodes = build_nodes(boxes, ty)
     centre = boxes.mean(axis=1).astype(np.float32).astype(np.float64)
     inverse = np.linalg.inv(matrices)
     out = np.zeros((len(boxes), COPY), dtype=np.float32)
@@ -59,15 +59,14 @@ def build_copies(
     out[:, 3] = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2 * 1.001 + 1e-30
     out[:, 4:13] = inverse[:, :3, :3].reshape(-1, 9)
     out[:, 13:16] = np.einsum("nij,nj->ni", inverse[:, :3, :3], centre) + inverse[:, :3, 3]
-    tree = structure.trees[objects].astype(np.uint32)
-    out[:, 16:18] = tree.view(np.float32)
+    out[:, 16] = structure.nodes.first[objects].view(np.float32)
+    out[:, 17] = structure.nodes.single[objects].astype(np.uint32).view(np.float32)
     return Copies(
         structure=structure,
-        nodes=upload(ty.Float32, nodes),
-        node_count=dr.opaque(ty.UInt, int(trees[0, 1])),
+        nodes=nodes,
         records=upload(ty.Float32, out),
         count=len(boxes),
-        bytes=nodes.nbytes + out.nbytes,
+        bytes=nodes.bytes + out.nbytes,
     )
 
 
@@ -90,13 +89,13 @@ def intersect_copies(
     o, d = [ty.Float(o[i]) for i in range(3)], [ty.Float(d[i]) for i in range(3)]
     t_max = ty.Float(t_max)
     active = ty.Bool(active) & is_ray(o, d, t_max)
-    octant, slabs = prepare(ty, o, d)
-    end = (octant + 1) * c.node_count
+    slabs = prepare(ty, o, d)
+    start_of_walk = begin(ty, c.nodes, slabs, t_max)
     inv_length2 = dr.rcp(dot3(d, d))
     inv_length = dr.sqrt(inv_length2)
 
-    def body(run, node, t, leaf, u, v, copy):
-        node, index = next_leaf(c.nodes, ty, node, end, slabs, t, run)
+    def body(run, walk, t, leaf, u, v, copy):
+        walk, index = next_leaf(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
         found = run & (index != NO_LEAF)
         m = gather_packets(c.records, index, COPY, found)
         away = [f64(m[i]) - f64(o[i]) for i in range(3)]
@@ -106,30 +105,31 @@ def intersect_copies(
         rows = [m[4 + 3 * r : 7 + 3 * r] for r in range(3)]
         local_o = [dot3(rows[r], p) + m[13 + r] for r in range(3)]
         local_d = [dot3(rows[r], d) for r in range(3)]
-        local_octant, local_slabs = prepare(ty, local_o, local_d)
-        first, count = (dr.reinterpret_array(ty.UInt, m[k]) for k in (16, 17))
-        first = first + local_octant * count
+        local_slabs = prepare(ty, local_o, local_d)
+        first, single = (dr.reinterpret_array(ty.UInt, m[k]) for k in (16, 17))
         limit = t - start
         found = found & (limit > 0.0)
+        root = Walk(ty.UInt(1), single != 0, ty.UInt(0), ty.UInt(0))
         t_new, leaf_new, u_new, v_new = search(
-            s, ty, local_o, local_d, local_slabs, limit, first, first + count, found, any_hit
+            s, ty, local_o, local_d, local_slabs, limit, first, root, found, any_hit
         )
         accept = found & (leaf_new != NO_LEAF)
         t = dr.select(accept, ty.Float(f64(start) + f64(t_new)), t)
         leaf, copy = dr.select(accept, leaf_new, leaf), dr.select(accept, index, copy)
         u, v = dr.select(accept, u_new, u), dr.select(accept, v_new, v)
-        run = run & (node < end)
+        run = run & (walk.node != 0)
         if any_hit:
             run = run & (leaf == NO_LEAF)
-        return run, node, t, leaf, u, v, copy
+        return run, walk, t, leaf, u, v, copy
 
     zero = dr.zeros(ty.Float)
     none = ty.UInt(NO_LEAF)
-    _run, _node, t, leaf, u, v, copy = dr.while_loop(
-        (active, octant * c.node_count, t_max, none, zero, zero, dr.zeros(ty.UInt)),
+    active = active & (start_of_walk.node != 0)
+    _run, _walk, t, leaf, u, v, copy = dr.while_loop(
+        (active, start_of_walk, t_max, none, zero, zero, dr.zeros(ty.UInt)),
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "node", "t", "leaf", "u", "v", "copy"),
+        labels=("run", "walk", "t", "leaf", "u", "v", "copy"),
         label="bezier copies",
     )
     return finish(s, ty, t, leaf, u, v, active, any_hit), copy

@@ -10,16 +10,14 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
-from ..geometry.tree import NO_LEAF, build_tree
 from .arrays import types_of, upload
+from .nodes import Nodes, build_nodes
 
 if TYPE_CHECKING:
     from .trim import TrimTable
 
-__all__ = ["Structure", "build_structure", "pack_nodes"]
+__all__ = ["Structure", "build_structure"]
 
-#: Floats in a tree node: near faces, far faces, skip, leaf (the last two as bits).
-NODE = 8
 #: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, two bounds packed.
 AFFINE = 16
 #: Floats in a projective leaf's record: shift 3, remainder, 4x4 chart 16, a b c, margin.
@@ -46,9 +44,8 @@ class Structure:
     leaves. Domain records follow the same order, with the members of groups at the end.
     """
 
-    nodes: Any  #: Float32, for each object 8 octants x its number of nodes x `NODE`
-    node_count: Any  #: UInt, opaque as the next two: kernels do not depend on the values
-    first_projective: Any  #: UInt, number of the first leaf of the second kind
+    nodes: Nodes  #: one tree for each object
+    first_projective: Any  #: UInt, number of the first leaf of the second kind; opaque as the next
     first_group: Any  #: UInt, and of the third
     affine: Any  #: Float32, x `AFFINE`
     projective: Any  #: Float32, x `PROJECTIVE`
@@ -64,7 +61,6 @@ class Structure:
     graph_count: int  #: affine and projective
     group_count: int
     has_sections: bool  #: whether parameters of some exact leaves take an iteration
-    trees: np.ndarray  #: (objects, 2): first node of each object's tree, nodes of one octant
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
@@ -130,10 +126,9 @@ def build_structure(
     owner = None
     if objects is not None:
         owner = np.concatenate([objects[graph], objects[exact[group_first]]])
-    nodes, trees = pack_nodes(boxes, owner)
+    nodes = build_nodes(boxes, ty, owner)
     sections = bool((leaves.form[exact, SECTION] > 0).any())
     arrays = {
-        "nodes": nodes,
         "affine": _affine_records(leaves, affine),
         "projective": _projective_records(leaves, projective),
         "nets": _nets(leaves, affine).astype(np.float32),
@@ -149,8 +144,7 @@ def build_structure(
             name: upload(ty.Float64 if a.dtype == np.float64 else ty.Float32, _at_least_one(a))
             for name, a in arrays.items()
         },
-        node_count=dr.opaque(ty.UInt, int(trees[0, 1])),
-        trees=trees,
+        nodes=nodes,
         first_projective=dr.opaque(ty.UInt, len(affine)),
         first_group=dr.opaque(ty.UInt, len(graph)),
         degree=bernstein.degree_of(leaves.net.shape[1]),
@@ -159,43 +153,11 @@ def build_structure(
         group_count=len(group_first),
         has_sections=sections,
         leaf_count=len(leaves),
-        bytes=sum(a.nbytes for a in arrays.values()) + (trims[0].bytes if trims else 0),
+        bytes=sum(a.nbytes for a in arrays.values())
+        + nodes.bytes
+        + (trims[0].bytes if trims else 0),
         trim=None if trims is None else trims[0],
     )
-
-
-def pack_nodes(boxes: np.ndarray, owner: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Build the trees over boxes ``(L, 2, 3)``, one for each owner.
-
-    Returns
-    -------
-    nodes : (N, `NODE`) float32 array
-        The trees one after the other, for each the eight octants.
-    trees : (objects, 2) int array
-        Their first nodes and the numbers of nodes of one octant.
-    """
-    owner = np.zeros(len(boxes), dtype=int) if owner is None else owner
-    padded = _padded(boxes)
-    parts, trees = [], []
-    first = 0
-    for number in range(owner.max(initial=0) + 1):
-        mine = np.flatnonzero(owner == number)
-        bounds, skip, leaf = build_tree(padded[mine])
-        count = skip.shape[1]
-        nodes = np.zeros((8, count, NODE), dtype=np.float32)
-        for octant in range(8):  # near and far faces, as the octant's directions meet them
-            for a in range(3):
-                turned = (octant >> a) & 1
-                nodes[octant, :, a] = bounds[octant, :, turned, a]
-                nodes[octant, :, 3 + a] = bounds[octant, :, 1 - turned, a]
-        base = first + np.arange(8, dtype=np.uint32)[:, None] * np.uint32(count)
-        nodes[..., 6] = (skip + base).astype(np.uint32).view(np.float32)
-        leaf = np.where(leaf == NO_LEAF, NO_LEAF, mine[np.where(leaf == NO_LEAF, 0, leaf)])
-        nodes[..., 7] = leaf.astype(np.uint32).view(np.float32)
-        parts.append(nodes.reshape(-1, NODE))
-        trees.append((first, count))
-        first += 8 * count
-    return np.concatenate(parts), np.array(trees)
 
 
 def _at_least_one(a: np.ndarray) -> np.ndarray:
@@ -285,11 +247,3 @@ def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.n
     if cells is not None:
         out[:, 10] = (cells[order] + 1).astype(np.uint32).view(np.float32)
     return out
-
-
-def _padded(box: np.ndarray) -> np.ndarray:
-    """Grow boxes by what float32 may lose of their faces, their size and the slab test."""
-    finite = np.where(np.isfinite(box), box, 0.0)
-    pad = 4e-7 * np.abs(finite).max(axis=1, keepdims=True)
-    pad = pad + 1e-6 * np.abs(finite[:, 1:] - finite[:, :1]).max(axis=2, keepdims=True)
-    return np.concatenate([box[:, :1] - pad, box[:, 1:] + pad], axis=1)

@@ -1,0 +1,120 @@
+"""Tests of the walk through the tree: every box that a ray meets, in sparse bytes of float32."""
+
+from __future__ import annotations
+
+import drjit as dr
+import drjit.llvm as plain
+import numpy as np
+import pytest
+
+from mitsuba_bezier.geometry.tree import NO_LEAF
+from mitsuba_bezier.kernels.arrays import types_of
+from mitsuba_bezier.kernels.nodes import begin, build_nodes, next_leaf, prepare
+
+
+def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float):
+    """Return for each ray the leaves the kernel stops at, in order."""
+    ty = types_of(float_type)
+    nodes = build_nodes(boxes, ty, owner)
+    o, d = ([ty.Float(a[:, i].astype(np.float32)) for i in range(3)] for a in (o, d))
+    slabs = prepare(ty, o, d)
+    t_max = dr.full(ty.Float, t_max, dr.width(o[0]))
+    first = ty.UInt(int(nodes.first[tree]))
+    walk = begin(ty, nodes, slabs, t_max)
+    if tree:  # the kernel of copies begins like this
+        one = dr.ones(ty.UInt, dr.width(o[0]))
+        walk.node, walk.at_leaf = one, ty.Bool(bool(nodes.single[tree])) & (one != 0)
+    out = [[] for _ in range(dr.width(o[0]))]
+    while True:
+        run = walk.node != 0
+        dr.eval(walk, run)
+        if not dr.any(run):
+            return out
+        walk, leaf = next_leaf(nodes, ty, first, walk, slabs, t_max, run)
+        for ray, number in enumerate(np.array(leaf)):
+            if number != NO_LEAF:
+                out[ray].append(int(number))
+
+
+def expected(boxes, o, d, t_max=np.inf):
+    """Return which boxes rays meet, in float64, and which by a hair."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slabs = np.sort((boxes[None] - o[:, None, None]) / d[:, None, None], axis=2)
+        enter = np.maximum(np.nanmax(slabs[:, :, 0], axis=2), 0)
+        leave = np.minimum(np.nanmin(slabs[:, :, 1], axis=2), t_max)
+    return enter <= leave
+
+
+def some_boxes(count, seed, size=0.1, at=0.0):
+    rng = np.random.default_rng(seed)
+    centre, half = rng.uniform(-1, 1, (count, 3)), rng.uniform(0, size, (count, 3))
+    return np.stack([centre - half, centre + half], axis=1) + at
+
+
+def some_rays(count, seed, at=0.0):
+    rng = np.random.default_rng(seed)
+    o = rng.normal(size=(count, 3)) * 2
+    d = rng.uniform(-1, 1, (count, 3)) - o
+    d[::7, 0], d[3::11, 2] = 0.0, -0.0
+    # what the kernel sees
+    return (o + at).astype(np.float32).astype(float), d.astype(np.float32).astype(float)
+
+
+SPREAD = np.concatenate([some_boxes(60, 1), 1e4 * some_boxes(5, 2), some_boxes(40, 3, at=1e3)])
+CASES = {
+    "one": some_boxes(1, 4, 1.0),
+    "two": some_boxes(2, 5, 1.0),
+    "hundreds": some_boxes(700, 6),
+    "sizes apart": SPREAD,
+    "far off": some_boxes(200, 7, at=1e4),
+    "far off and small": some_boxes(200, 7, 1e-6) * 1e-3 + 1e4,
+    "flat": some_boxes(100, 8) * [1, 1, 0],
+    "the same": np.repeat(some_boxes(1, 9, 1.0), 20, axis=0),
+}
+
+
+@pytest.mark.parametrize("float_type", [plain.Float, plain.Float64])
+@pytest.mark.parametrize("name", CASES)
+def test_no_box_is_missed(name, float_type):
+    boxes = CASES[name]
+    o, d = some_rays(300, 10, at=boxes[0].mean(axis=0).round() if "far off" in name else 0.0)
+    met = visits(boxes, o, d, float_type=float_type)
+    hit = expected(boxes, o, d)
+    for ray in range(len(o)):
+        assert len(met[ray]) == len(set(met[ray])), "a leaf came twice"
+        assert set(np.flatnonzero(hit[ray])) <= set(met[ray])
+    # boxes are stored in 255ths of their parents', which makes them a little larger
+    extra = sum(map(len, met)) - hit.sum()
+    assert extra <= 0.15 * hit.sum() + 0.1 * len(o)
+
+
+def test_faces_at_infinity():
+    boxes = some_boxes(50, 11)
+    boxes[3, 1, 0], boxes[8, 0] = np.inf, -np.inf
+    boxes[20] = [[-np.inf] * 3, [np.inf] * 3]
+    o, d = some_rays(300, 12)
+    met, hit = visits(boxes, o, d), expected(boxes, o, d)
+    for ray in range(len(o)):
+        assert set(np.flatnonzero(hit[ray])) <= set(met[ray])
+
+
+def test_nearer_boxes_come_first_and_those_behind_not_at_all():
+    boxes = np.stack([np.array([[x, -1, -1], [x + 0.5, 1, 1]]) for x in range(9)])
+    o = np.array([[-5.0, 0, 0], [20.0, 0.1, 0.1], [4.7, 0, 0]])
+    d = np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0]])
+    forward, backward, middle = visits(boxes, o, d)
+    assert forward == list(range(9)) and backward == list(range(9))[::-1]
+    assert middle == [5, 6, 7, 8]
+    assert visits(boxes, o, d, t_max=8.7)[0] == [0, 1, 2, 3]
+
+
+def test_each_object_has_a_tree():
+    boxes = some_boxes(40, 13, 0.5)
+    owner = np.repeat([0, 1, 2], [25, 1, 14])
+    o, d = some_rays(200, 14)
+    for tree in range(3):
+        mine = np.flatnonzero(owner == tree)
+        hit = expected(boxes[mine], o, d)
+        met = visits(boxes, o, d, owner=owner, tree=tree)
+        for ray in range(len(o)):
+            assert set(mine[hit[ray]]) <= set(met[ray]) <= set(mine)
