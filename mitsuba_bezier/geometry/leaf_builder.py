@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .exact_leaves import exact_leaves
@@ -10,7 +12,7 @@ from .leaves import LeafSettings, Leaves
 from .section_leaves import section_leaves
 from .triangles import BezierTriangles
 
-__all__ = ["build_leaves"]
+__all__ = ["build_leaves", "rebuild_leaves"]
 
 #: Patches subdivided at a time: bounds the memory of the build, not its result.
 _CHUNK = 4096
@@ -48,3 +50,37 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
         chunk = slice(first, first + _CHUNK)
         parts.extend(subdivide(nets[chunk], numbers[chunk], settings))
     return Leaves.join(parts)
+
+
+def rebuild_leaves(
+    patches: BezierTriangles,
+    settings: LeafSettings,
+    before: BezierTriangles,
+    leaves: Leaves,
+) -> Leaves:
+    """Cut `patches` of which only some differ from those `before`, whose `leaves` are known.
+
+    Leaves of a patch depend on its own net alone, unless they have a closed form: these are looked
+    for anew.
+
+    Parameters
+    ----------
+    patches : BezierTriangles
+    settings : LeafSettings
+        With which `leaves` were built, too.
+    before : BezierTriangles
+    leaves : Leaves
+        Of `before`.
+    """
+    nets, old = patches.control_points, before.control_points
+    if nets.shape != old.shape:
+        return build_leaves(patches, settings)
+    changed = (nets != old).any(axis=(1, 2))
+    changed[leaves.patch[leaves.exact]] = True
+    if changed.all():
+        return build_leaves(patches, settings)
+    kept = leaves.select(~changed[leaves.patch])
+    if not changed.any():
+        return kept
+    again = build_leaves(patches[changed], settings)
+    return Leaves.join([kept, replace(again, patch=np.flatnonzero(changed)[again.patch])])

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError
-from ..geometry.leaf_builder import build_leaves
+from ..geometry.leaf_builder import build_leaves, rebuild_leaves
 from ..geometry.leaves import LeafSettings, Leaves
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
@@ -50,11 +50,12 @@ class SceneData:
         self._open_edges: Any = None
         self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
         parts, patch_shape, patch_first = [], [], []
+        # who changes a shape once will do so again
+        remember = any(shape.updates for shape in shapes)
         first = 0
         for number, shape in enumerate(shapes):
-            leaves = build_leaves(shape.patches, LeafSettings(sections=shape.trims is None))
-            leaves.patch = leaves.patch + first
-            parts.append(leaves)
+            leaves = _leaves_of(shape, remember)
+            parts.append(replace(leaves, patch=leaves.patch + first))
             patch_shape += [number] * len(shape.patches)
             patch_first += [first] * len(shape.patches)
             first += len(shape.patches)
@@ -226,6 +227,17 @@ class SceneData:
                 masks.append(bits.reshape(-1, 3) @ np.array([1, 2, 4], dtype=np.uint32))
             self._open_edges = upload(mi.UInt32, np.concatenate(masks))
         return self._open_edges
+
+
+def _leaves_of(shape: Any, remember: bool) -> Leaves:
+    """Return the leaves of a shape, with those it remembers, and let it remember them."""
+    settings = LeafSettings(sections=shape.trims is None)
+    if shape.kept_leaves is None:
+        leaves = build_leaves(shape.patches, settings)
+    else:
+        leaves = rebuild_leaves(shape.patches, settings, *shape.kept_leaves)
+    shape.kept_leaves = (shape.patches, leaves) if remember else None
+    return leaves
 
 
 def _texcoords(shapes: list[Any]) -> Any:

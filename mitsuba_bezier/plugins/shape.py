@@ -125,6 +125,9 @@ def make_shape_class() -> type:
             self.texture_corners = texcoords
             self.texcoords = None if texcoords is None else _tensor(texcoords)
             self._attributes: dict[str, Any] = {}
+            #: Patches and leaves of the last structure, for the next, once there were updates.
+            self.kept_leaves: tuple[BezierTriangles, Any] | None = None
+            self.updates = -1
             # A mesh attribute keeps Mitsuba's loader from merging shapes that share a BSDF
             # into one plain mesh.
             super().add_attribute("face_bezier", 1, [0.0])
@@ -147,6 +150,7 @@ def make_shape_class() -> type:
                     [self.copy_boxes[:, 0].min(axis=0), self.copy_boxes[:, 1].max(axis=0)]
                 )
             self.version = next(_versions)
+            self.updates += 1
             self._set_box(box)
 
         def _set_box(self, box: np.ndarray) -> None:
