@@ -8,7 +8,13 @@ import pytest
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import FORM_ENTRIES, LEAST, LeafSettings, Leaves
+from mitsuba_bezier.geometry.leaves import (
+    FORM_ENTRIES,
+    LEAST,
+    LeafSettings,
+    Leaves,
+    unpack_bending,
+)
 from mitsuba_bezier.geometry.tree import NO_LEAF, Tree, build_tree
 
 # ---------------------------------------------------------------- nets
@@ -160,7 +166,8 @@ def height(leaves: Leaves, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def test_bounds_hold_on_dense_samples(regular):
     leaves = regular
-    a, b, c, remainder, variation, bending, margin = leaves.form[:, :7].T[:, :, None]
+    a, b, c, remainder, variation, packed, margin = leaves.form[:, :7].T[:, :, None]
+    bending, _size = unpack_bending(packed)
     # the surface stays within the margin of the unit triangle
     p = chart_points(leaves, lattice(20))
     x, y = p[..., 0] / p[..., 3], p[..., 1] / p[..., 3]

@@ -8,7 +8,8 @@ import numpy as np
 
 from . import bernstein
 from .collapsed import collapsed_edge, fan, strips
-from .leaves import FORM, LeafSettings, Leaves
+from .leaf_bounds import edge_reach, leaf_bounds
+from .leaves import FORM, LeafSettings, Leaves, pack_bending
 from .triangles import BezierTriangles
 
 __all__ = ["subdivide"]
@@ -235,6 +236,9 @@ def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, n
     return shift, rounded
 
 
+#: Rays look for a leaf this far beyond its edges: rounding moves grazing hits along the surface.
+_PAD = 1e-4
+
 #: Leaves examined at a time: bounds the memory, not the result.
 _CHUNK = 4096
 
@@ -262,28 +266,23 @@ def _fit_charts(
     moved[..., :3] -= moved[..., 3:] * shift[:, None]
     chart = np.einsum("lrc,lkc->lkr", frame, moved)  # x, y, z, W
     w = chart[..., 3]
-    with np.errstate(all="ignore"):
-        flat = chart[..., :3] / w[..., None]
-        spread = np.abs(w - 1).max(axis=1)
-        out = np.stack([-flat[..., 0], -flat[..., 1], flat[..., 0] + flat[..., 1] - 1], axis=-1)
-        margin = np.maximum(out.max(axis=(1, 2)), 0.0) + 1e-6
-        lateral, remainder, variation, bending, quadratics, height = _bounds(chart, margin, n)
-        good = (
-            (w > 0).all(axis=1)
-            & (spread <= settings.weight)
-            & (margin <= settings.lateral)
-            & (lateral <= settings.lateral)
-            & (remainder <= settings.remainder)
-            & (height <= settings.height)
-        )
+    spread = np.abs(w - 1).max(axis=1)
+    rows = np.flatnonzero((w > 0).all(axis=1))
+    reach, inward = edge_reach(chart[rows])
+    margin = reach + _PAD
     form = np.zeros((len(nets), FORM))
-    form[:, :3], form[:, 7:] = quadratics[:, :3], quadratics[:, 3:]
-    form[:, 3], form[:, 4], form[:, 5], form[:, 6] = (
-        remainder,
-        variation,
-        bending,
-        margin,
+    good = np.zeros(len(nets), dtype=bool)
+    bounds = leaf_bounds(chart[rows], margin, inward, settings.lateral)
+    good[rows] = (
+        bounds.proved
+        & (spread[rows] <= settings.weight)
+        & (bounds.lateral <= settings.lateral)
+        & (bounds.remainder <= settings.remainder)
+        & (bounds.height <= settings.height)
     )
+    form[rows, :3], form[rows, 7:] = bounds.quadratics[:, :3], bounds.quadratics[:, 3:]
+    form[rows, 3], form[rows, 4], form[rows, 6] = bounds.remainder, bounds.variation, margin
+    form[rows, 5] = pack_bending(bounds.bending, bounds.size)
     form[~np.isfinite(form).all(axis=1)] = 0.0
     deviation = chart.copy()
     ijk = bernstein.multi_indices(n)
@@ -303,108 +302,3 @@ def _fit_charts(
         group=np.full(len(nets), -1),
     )
     return leaves, good
-
-
-#: Safety factor on bounds taken from samples: the quantities are smooth on a leaf, and 21
-#: samples of a function whose third-order part is below ``remainder`` miss a few per cent.
-_SAFETY = 1.25
-#: ... and on the remainder, a difference from a fit, which peaks between the samples and grows
-#: with the third power towards the corners of the enlarged triangle.
-_SAFETY_REMAINDER = 2.0
-
-
-#: The enlarged triangles on which bounds are sampled, by the largest margin they serve.
-_MARGINS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3)
-
-
-def _bounds(chart: np.ndarray, margin: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
-    """Sample the bounds of the module's docstring on the enlarged triangle.
-
-    The triangle is one of a few sizes, so that all leaves of a size share their basis.
-    """
-    size = np.searchsorted(_MARGINS, np.nan_to_num(margin, nan=np.inf))
-    size = np.minimum(size, len(_MARGINS) - 1)
-    order = np.argsort(size, kind="stable")
-    parts = [
-        _bounds_of_size(chart[rows], _MARGINS[size[rows[0]]], n)
-        for rows in np.split(order, np.flatnonzero(np.diff(size[order])) + 1)
-    ]
-    inverse = np.empty_like(order)
-    inverse[order] = np.arange(len(order))
-    return tuple(np.concatenate(column)[inverse] for column in zip(*parts))
-
-
-def _bounds_of_size(chart: np.ndarray, margin: float, n: int) -> tuple[np.ndarray, ...]:
-    lattice = bernstein.multi_indices(5)[:, :2] / 5.0
-    # twice the margin on each of three sides
-    uv = 1 / 3 + (lattice - 1 / 3) * (1.0 + 6.0 * margin)
-    du, dv = bernstein.partials_matrices(n)
-    b0, b1 = bernstein.basis(n, uv), bernstein.basis(n - 1, uv)
-    value = b0 @ chart
-    hu, hv = (b1 @ du) @ chart, (b1 @ dv) @ chart
-    if n >= 2:
-        du1, dv1 = bernstein.partials_matrices(n - 1)
-        b2 = bernstein.basis(n - 2, uv)
-        huu, huv, hvv = (b2 @ m @ chart for m in (du1 @ du, du1 @ dv, dv1 @ dv))
-    else:
-        huu = huv = hvv = np.zeros_like(value)
-    inv = 1.0 / value[..., 3:]
-    p = value[..., :3] * inv
-    pu = (hu[..., :3] - p * hu[..., 3:]) * inv
-    pv = (hv[..., :3] - p * hv[..., 3:]) * inv
-    wu, wv = hu[..., 3:], hv[..., 3:]
-    puu = (huu[..., :3] - p * huu[..., 3:] - 2 * pu * wu) * inv
-    puv = (huv[..., :3] - p * huv[..., 3:] - pu * wv - pv * wu) * inv
-    pvv = (hvv[..., :3] - p * hvv[..., 3:] - 2 * pv * wv) * inv
-    jac = np.stack([pu[..., :2], pv[..., :2]], axis=-1)  # d(x, y)/d(u, v)
-    lateral = np.linalg.norm(jac - np.eye(2), axis=(-2, -1)).max(axis=1)
-    det = jac[..., 0, 0] * jac[..., 1, 1] - jac[..., 0, 1] * jac[..., 1, 0]
-    jinv = (
-        np.stack(
-            [
-                np.stack([jac[..., 1, 1], -jac[..., 0, 1]], axis=-1),
-                np.stack([-jac[..., 1, 0], jac[..., 0, 0]], axis=-1),
-            ],
-            axis=-2,
-        )
-        / det[..., None, None]
-    )
-    slope = np.einsum("...i,...ij->...j", np.stack([pu[..., 2], pv[..., 2]], axis=-1), jinv)
-    second = np.stack([np.stack([puu, puv], axis=-1), np.stack([puv, pvv], axis=-1)], axis=-1)
-    # second[..., c, i, j]: Hess of coordinate c in (u, v)
-    graph = second[..., 2, :, :] - np.einsum("...c,...cij->...ij", slope, second[..., :2, :, :])
-    hess = np.einsum("...ia,...ij,...jb->...ab", jinv, graph, jinv)
-    x, y, z = p[..., 0], p[..., 1], p[..., 2]
-    rest = 1 - x - y
-    design = np.stack([x * y, x * rest, y * rest], axis=-1)
-    usable = np.isfinite(design).all(axis=(1, 2)) & np.isfinite(z).all(axis=1)
-    design = np.where(usable[:, None, None], design, 0.0)
-    gram = np.einsum("lsa,lsb->lab", design, design)
-    # the ridge keeps the fit of hopeless leaves, which are cut anyway, from being singular
-    gram += (1e-12 * (1.0 + np.trace(gram, axis1=1, axis2=2)))[:, None, None] * np.eye(3)
-    targets = np.stack([z, uv[..., 0] - x, uv[..., 1] - y], axis=-1)
-    targets = np.where(usable[:, None, None], targets, 0.0)
-    fitted = np.linalg.solve(gram, np.einsum("lsa,lst->lat", design, targets))
-    coefficients = fitted[..., 0]
-    a, b, c = coefficients.T
-    remainder = np.abs(z - np.einsum("lsa,la->ls", design, coefficients)).max(axis=1)
-    # Hessian of a xy + b x(1-x-y) + c y(1-x-y)
-    quad = np.stack(
-        [
-            np.stack([-2 * b, a - b - c], axis=-1),
-            np.stack([a - b - c, -2 * c], axis=-1),
-        ],
-        axis=-2,
-    )
-    variation = np.linalg.norm(hess - quad[:, None], axis=(-2, -1)).max(axis=1)
-    bending = 0.5 * np.linalg.norm(hess, axis=(-2, -1)).max(axis=1)
-    height = np.abs(z).max(axis=1)
-    return (
-        lateral,
-        # 1e-7: what float32 makes of a chart coordinate near one
-        _SAFETY_REMAINDER * remainder + 1e-7,
-        _SAFETY * variation + 1e-6,
-        _SAFETY * bending,
-        fitted.transpose(0, 2, 1).reshape(-1, 9),
-        height,
-    )

@@ -18,10 +18,11 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
 
     * ``remainder`` >= |h - quadratic|,
     * ``variation`` >= spectral norm of Hess(h) - Hess(quadratic),
-    * ``bending`` >= half the spectral norm of Hess(h),
+    * ``bending``: so that ``bending d^2`` is at least the error of h's tangent plane at distance d,
     * ``margin``: how far the leaf reaches out of the unit triangle in the chart,
 
-    each over the unit triangle enlarged by twice the margin, and two more quadratics of the
+    proved (`leaf_bounds`) over an enlarged triangle of parameters, one of the `SIZES`, whose image
+    holds the unit triangle enlarged by the margin; and two more quadratics of the
     same form, which take ``(x, y)`` near to ``(u, v)``. The chart is affine where the weights
     of the leaf are of one sign and nearly equal, else projective (then W is not constant).
     ``docs/intersection.md`` says how the kernel uses them.
@@ -38,7 +39,19 @@ import numpy as np
 
 from . import bernstein
 
-__all__ = ["DEVIATION", "FORM", "FORM_ENTRIES", "LEAST", "SECTION", "LeafSettings", "Leaves"]
+__all__ = [
+    "BENDING_LIMIT",
+    "DEVIATION",
+    "FORM",
+    "FORM_ENTRIES",
+    "LEAST",
+    "SECTION",
+    "SIZES",
+    "LeafSettings",
+    "Leaves",
+    "pack_bending",
+    "unpack_bending",
+]
 
 
 #: Numbers in `Leaves.form`.
@@ -70,6 +83,34 @@ FORM_ENTRIES = (
     (3, 3),
 )
 
+#: By how much, in barycentrics, the parameter triangles reach out on which the bounds of graph
+#: leaves hold. Few, so that leaves share their matrices; the kernel has the same formula.
+SIZES = tuple(0.004 * 2 ** (k / 2) for k in range(16))
+
+#: The bending of graph leaves is below this, so that one number holds it and the size.
+BENDING_LIMIT = 16.0
+
+
+def pack_bending(bending: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return ``bending + BENDING_LIMIT * size``, rounded up to what float32 can hold.
+
+    Parameters
+    ----------
+    bending : (L,) array
+        At least 0, below `BENDING_LIMIT` where it matters.
+    size : (L,) int array
+        Index of `SIZES`.
+    """
+    # 2^-14: four bits for the size and four in front of the point leave it exact in 24
+    steps = np.ceil(np.minimum(bending, BENDING_LIMIT - 2.0**-14) * 2.0**14)
+    return steps / 2.0**14 + BENDING_LIMIT * size
+
+
+def unpack_bending(packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return bending and size of what `pack_bending` gave."""
+    size = np.floor(packed / BENDING_LIMIT)
+    return packed - BENDING_LIMIT * size, size.astype(int)
+
 
 @dataclass(frozen=True)
 class LeafSettings:
@@ -78,8 +119,7 @@ class LeafSettings:
     Parameters
     ----------
     lateral : float
-        Largest ``|J - I|`` of the map from parameters to chart coordinates; below 1 it is
-        one-to-one and the lateral Newton step contracts.
+        Largest spectral norm of ``J - I`` of the map from parameters to chart coordinates.
     remainder : float
         Largest distance of the surface from its quadratic.
     height : float
@@ -95,9 +135,9 @@ class LeafSettings:
         the parameters of every hit are needed, as for trimmed patches.
     """
 
-    lateral: float = 0.5
-    remainder: float = 0.045
-    height: float = 0.25
+    lateral: float = 0.8
+    remainder: float = 0.06
+    height: float = 0.3
     weight: float = 0.3
     max_depth: int = 15
     closed_form: bool = True

@@ -197,8 +197,12 @@ def _cull(
 def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:
     """Return the step to the first zero of ``value + slope x + half_second x^2``, and if any.
 
-    For ``value >= 0`` the first positive zero; for a small negative one the zero behind.
+    For ``value >= 0`` the first zero ahead; a zero at hand that the slope leads away from does not
+    count. For a small negative value the zero behind.
     """
     disc = dr.fma(slope, slope, -4.0 * half_second * value)
-    denominator = dr.sqrt(dr.maximum(disc, 0.0)) - slope
-    return 2.0 * value / denominator, (disc >= 0.0) & (denominator > 0.0)
+    root = dr.sqrt(dr.maximum(disc, 0.0)) + dr.abs(slope)
+    away = slope > 0.0
+    denominator = dr.select(away, -2.0 * half_second, dr.maximum(root, 1e-30))
+    step = dr.select(away, root, 2.0 * value) / denominator
+    return step, (disc >= 0.0) & (denominator > 0.0)

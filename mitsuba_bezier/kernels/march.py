@@ -9,6 +9,7 @@ from typing import Any
 
 import drjit as dr
 
+from ..geometry.leaves import BENDING_LIMIT, SIZES
 from .arrays import Types, gather_packets, types_of
 from .chart import ChartLine, first_root, projective_line
 from .net import horner
@@ -130,7 +131,12 @@ def _march(
         Tells which roots are not trimmed away.
     """
     ty = types_of(x0[0])
-    variation, bending, net = data[0], data[1], data[HEAD:]
+    variation, net = data[0], data[HEAD:]
+    size = dr.floor(data[1] * (1.0 / BENDING_LIMIT))
+    bending = dr.fma(size, -BENDING_LIMIT, data[1])
+    # the bounds hold for parameters with barycentrics down to `low`, up to `high`
+    low = -SIZES[0] * dr.exp2(size * 0.5)
+    high = 1.0 - 2.0 * low
     x0, y0, z0 = x0
     ex, ey, ez = e
     gamma, end = ty.Float(line.gamma), ty.Float(line.end)
@@ -138,6 +144,12 @@ def _march(
     wobble = 0.5 * variation * lateral2  # half the uncertainty of the second derivative
     speed2 = dr.fma(ez, ez, lateral2)
     speed = dr.sqrt(speed2)
+
+    def held(u: Any, v: Any) -> tuple[Any, Any]:
+        """Return the parameters themselves, or others where the bounds hold."""
+        u = dr.select(u < low, low, dr.select(u > high, high, u))
+        top = 1.0 - low - u
+        return u, dr.select(v < low, low, dr.select(v > top, top, v))
 
     def start(tau: Any) -> tuple[Any, Any]:
         """Return parameters near the chart point under the ray."""
@@ -200,13 +212,13 @@ def _march(
         tau = dr.select(again, tau + dr.abs(slope) / back, tau)
         far_u, far_v = start(tau)
         sign = dr.select(again, -sign, sign)
-        u, v = dr.select(again, far_u, u), dr.select(again, far_v, v)
+        u, v = held(dr.select(again, far_u, u), dr.select(again, far_v, v))
         step = step + 1
         goes = dr.select(converged, again, exists) & (tau <= end) & (step < MAX_STEPS)
         return run & goes, step, tau, u, v, sign, hit, best, best_u, best_v
 
     tau = ty.Float(line.tau)
-    u, v = start(tau)
+    u, v = held(*start(tau))
     zero = dr.zeros(ty.Float)
     sign = ty.Float(line.sign)
     state = (active, ty.UInt(0), tau, u, v, sign, ty.Bool(False), t_max, zero, zero)
