@@ -15,6 +15,7 @@ from mitsuba_bezier.geometry.leaves import (
     Leaves,
     unpack_bending,
 )
+from mitsuba_bezier.geometry.section_leaves import edge_planes
 from mitsuba_bezier.geometry.tree import NO_LEAF, Tree, build_tree
 
 # ---------------------------------------------------------------- nets
@@ -377,12 +378,13 @@ def test_octants_of_ellipsoids_are_met_through_their_quadric(rounded):
     leaves = build_leaves(patches)
     assert leaves.exact.all() and len(leaves) == 8 and len(np.unique(leaves.group)) == 1
     assert not build_leaves(patches, LeafSettings(sections=False)).exact.any()
+    planes = edge_planes(leaves)
     # the planes' values tell the octants apart, and are zero on the edges only
     uv = np.random.default_rng(6).dirichlet(np.ones(3), 40)[:, :2]
     for leaf, patch in enumerate(leaves.patch):
         for other in range(8):
             p = patches.points(np.full(40, other), uv) - leaves.shift[leaf]
-            inside = (p @ leaves.frame[leaf, :3, :3].T + leaves.frame[leaf, :3, 3] > 0).all(axis=1)
+            inside = (p @ planes[leaf, :, :3].T + planes[leaf, :, 3] > 0).all(axis=1)
             assert inside.all() if other == patch else not inside.any()
 
 

@@ -3,6 +3,12 @@
 Octants of the sphere are the example. The ray meets the quadric in closed form, and the planes
 of the edges tell whether the point is on the patch; only its parameters, of the one hit that
 counts, are found by Newton's method in the plane.
+
+An affine map makes the ellipsoid the unit sphere, and a stereographic projection takes the sphere
+to the complex numbers. There a patch is ``z = P(u, v) / Q(u, v)`` with polynomials of at most half
+its degree (Dietz, Hoschek, Juettler, "An algebraic approach to curves and surfaces on the sphere
+and on other quadrics", 1993). So the parameters of a point solve ``P - z Q = 0``, two real
+equations: of degree two for octants, where the plane sections have degree four.
 """
 
 from __future__ import annotations
@@ -14,12 +20,17 @@ from .leaves import FORM, FORM_ENTRIES, SECTION, Leaves
 from .quadric_groups import centre_and_size, fit_forms, quadric_leaves
 from .triangles import BezierTriangles
 
-__all__ = ["section_leaves"]
+__all__ = ["edge_planes", "section_leaves"]
 
 #: Residuals up to this are rounding: nets come through Mitsuba's float32 tensors (6e-8).
 _ROUNDING = 3e-7
 #: Singular values below this share of the largest leave a quadric or a plane undetermined.
 _DETERMINED = 1e-4
+#: `z` is counted from here, the middle of the square in which the coordinates are.
+_MIDDLE = 0.5 + 0.5j
+#: Newton steps after which the parameters must be found, and how well: nets in float32.
+_STEPS = 8
+_OFF = 1e-5
 
 
 def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
@@ -49,24 +60,59 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     planes, on_planes = _edge_planes(local, n)
     forms, on_quadric = _fit(local, n)
     keep = on_planes & on_quadric & _meet_inside(planes, forms) & _regular(local, planes, n)
+    which, shift, size, local = which[keep], shift[keep], size[keep], local[keep]
+    planes, forms = planes[keep], forms[keep]
+    if not len(which):
+        return nothing
+    rows = _projections(local, forms, n)
+    fractions, keep = _fractions(local, rows, n)
+    keep &= _newton_converges(local, rows, fractions, n)
     if not keep.any():
         return nothing
-    which, shift, size, local = which[keep], shift[keep], size[keep], local[keep]
+    which, shift, size = which[keep], shift[keep], size[keep]
     units = np.ones((len(which), 4))
     units[:, :3] /= size[:, None]
-    rows = planes[keep] * units[:, None]
-    forms = forms[keep] * units[:, None] * units[:, :, None] * size[:, None, None]
     form = np.zeros((len(which), FORM))
+    forms = forms[keep] * units[:, None] * units[:, :, None] * size[:, None, None]
     form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
     form[:, SECTION] = 1.0
-    leaves = quadric_leaves(patches, which, shift, rows, form)
-    moved = nets[leaves.patch] * sign[leaves.patch, None, None]
-    moved[..., :3] -= moved[..., 3:] * leaves.shift[:, None]
-    leaves.net[..., :3] = np.einsum("lrc,lkc->lkr", leaves.frame[:, :3], moved)
-    leaves.net /= np.abs(leaves.net).max(axis=(1, 2), keepdims=True)
-    leaves.net = bernstein.monomial_matrix(n) @ leaves.net
+    leaves = quadric_leaves(patches, which, shift, rows[keep] * units[:, None], form)
+    leaves.net = fractions[keep][np.searchsorted(which, leaves.patch)]
     found[which] = True
     return found, leaves
+
+
+def edge_planes(leaves: Leaves) -> np.ndarray:
+    """Return planes ``(L, 3, 4)``, as rows on ``(p - shift, 1)``, of the edges of such leaves.
+
+    They are 0 on an edge and 1 in the opposite corner. Each goes through three points, which
+    the inverse of the projection finds: those with the wanted coordinates are on a line through
+    the centre of projection, and that is on the quadric.
+    """
+    degree = bernstein.degree_of(leaves.net.shape[1])
+    a, b = bernstein.multi_indices(degree)[:, :2].T
+    corners_and_middles = np.array([(2, 0), (0, 2), (0, 0), (0, 1), (1, 0), (1, 1)]) / 2 - 1 / 3
+    u, v = corners_and_middles[:, :1], corners_and_middles[:, 1:]
+    value = (u**a * v**b) @ leaves.net
+    z = (value[..., 0] + 1j * value[..., 1]) / (value[..., 2] + 1j * value[..., 3])
+    z += _MIDDLE
+    goal = np.stack([z.real, z.imag, 1.0 - z.real - z.imag], axis=-1)
+    rows, forms = leaves.frame[:, :3], np.empty((len(leaves), 4, 4))
+    for k, (i, j) in enumerate(FORM_ENTRIES):
+        forms[:, i, j] = forms[:, j, i] = leaves.form[:, k]
+    _u, _s, vt = np.linalg.svd(rows)
+    centre = vt[:, 3]
+    near = np.einsum("lcr,lsr->lsc", np.linalg.pinv(rows), goal)
+    square = np.einsum("lsa,lab,lsb->ls", near, forms, near)
+    slope = 2 * np.einsum("lsa,lab,lb->ls", near, forms, centre)
+    points = near - (square / slope)[..., None] * centre[:, None]
+    points /= points[..., 3:]
+    planes = np.empty((len(leaves), 3, 4))
+    for corner, edge in enumerate(((1, 2, 3), (0, 2, 4), (0, 1, 5))):
+        _u, _s, vt = np.linalg.svd(points[:, edge])
+        value = np.einsum("lc,lc->l", vt[:, 3], points[:, corner])
+        planes[:, corner] = vt[:, 3] / value[:, None]
+    return planes
 
 
 def _edge(n: int, corner: int) -> np.ndarray:
@@ -133,3 +179,90 @@ def _regular(local: np.ndarray, planes: np.ndarray, n: int) -> np.ndarray:
     # det (A, A_u, A_v): the Jacobian of the ratios times the cube of their sum
     det = np.linalg.det(np.stack([value, du, dv], axis=-1))
     return (value[:, inner] > 0).all(axis=(1, 2)) & (det > 0).all(axis=1)
+
+
+def _projections(local: np.ndarray, forms: np.ndarray, n: int) -> np.ndarray:
+    """Return rows ``(P, 3, 4)`` whose ratios are the stereographic coordinates of a point.
+
+    The centre of projection is opposite the patch. With the sum of a point's three values, the
+    first two over it are coordinates that lie between 0 and 1 on the patch.
+    """
+    centre = -np.linalg.solve(forms[:, :3, :3], forms[:, :3, 3:])[..., 0]
+    level = -np.einsum("pi,pi->p", forms[:, 3, :3], centre) - forms[:, 3, 3]
+    axes, vectors = np.linalg.eigh(forms[:, :3, :3] / level[:, None, None])
+    to_sphere = np.zeros((len(local), 3, 4))
+    to_sphere[..., :3] = (vectors * np.sqrt(axes)[:, None]) @ vectors.transpose(0, 2, 1)
+    to_sphere[..., 3] = -np.einsum("pij,pj->pi", to_sphere[..., :3], centre)
+    lattice = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
+    points = bernstein.basis(n, lattice) @ local
+    sphere = np.einsum("pij,psj->psi", to_sphere, points) / points[..., 3:]
+    pole = sphere.mean(axis=1)
+    # the two directions across the pole
+    _u, _s, frame = np.linalg.svd(pole[:, None])
+    x, y, pole = frame[:, 1], frame[:, 2], pole / np.linalg.norm(pole, axis=1, keepdims=True)
+    rows = np.stack([np.einsum("pi,pij->pj", v, to_sphere) for v in (x, y, pole)], axis=1)
+    rows[:, 2, 3] += 1.0
+    value = np.einsum("prj,psj->prs", rows, points)
+    reach = np.hypot(*(value[:, k] / value[:, 2] for k in range(2))).max(axis=1)
+    rows[:, :2] = rows[:, 2:] / 2 + rows[:, :2] * (0.45 / reach)[:, None, None]
+    rows[:, 2] -= rows[:, 0] + rows[:, 1]
+    return rows
+
+
+def _complex(rows: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return numerator and denominator ``(P, S)`` of `z` at points ``(P, S, 4)``."""
+    value = np.einsum("prj,psj->rps", rows, points)
+    total = value.sum(axis=0)
+    return value[0] + 1j * value[1] - _MIDDLE * total, total
+
+
+def _fractions(local: np.ndarray, rows: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return P and Q as ``(P, K, 4)`` (real and imaginary parts), and where they exist.
+
+    They are of the lowest degree that there is, and by powers of ``u - 1/3, v - 1/3``, so that the
+    terms are small on the patch. ``z`` is known at more points than there are unknowns.
+    """
+    out = np.zeros((len(local), bernstein.size(n), 4))
+    found = np.zeros(len(local), dtype=bool)
+    for degree in range(1, n // 2 + 1):
+        left = np.flatnonzero(~found)
+        lattice = bernstein.multi_indices(n + degree)[:, :2] / (n + degree)
+        z, d = _complex(rows[left], bernstein.basis(n, lattice) @ local[left])
+        a, b = bernstein.multi_indices(degree)[:, :2].T
+        basis = (lattice[:, :1] - 1 / 3) ** a * (lattice[:, 1:] - 1 / 3) ** b
+        system = np.concatenate([d[..., None] * basis, -z[..., None] * basis], axis=2)
+        _u, s, vh = np.linalg.svd(system)
+        good = s[:, -1] <= _ROUNDING * s[:, 0]
+        k = bernstein.size(degree)
+        pair = vh[good, -1].conj().reshape(-1, 2, k)
+        pair = pair / np.abs(pair).max(axis=(1, 2), keepdims=True)
+        places = np.array([bernstein.row(n, i, j) for i, j in zip(a.tolist(), b.tolist())])
+        parts = np.stack([pair.real, pair.imag], axis=2).reshape(-1, 4, k)
+        out[np.ix_(left[good], places)] = parts.transpose(0, 2, 1)
+        found[left[good]] = True
+    return out, found
+
+
+def _newton_converges(
+    local: np.ndarray, rows: np.ndarray, fractions: np.ndarray, n: int
+) -> np.ndarray:
+    """Tell, by samples, where the kernel's iteration finds the parameters."""
+    lattice = bernstein.multi_indices(12)[:, :2] / 12.0
+    goal = lattice - 1 / 3
+    z, d = _complex(rows, bernstein.basis(n, lattice) @ local)
+    p, q = (fractions[..., k] + 1j * fractions[..., k + 1] for k in (0, 2))
+    equation = p[:, None] - (z / d)[..., None] * q[:, None]
+    a, b = bernstein.multi_indices(n)[:, :2].T
+    used = np.flatnonzero(fractions.any(axis=(0, 2)))
+    u, v = np.zeros((2, *z.shape))
+    with np.errstate(all="ignore"):
+        for _ in range(_STEPS):
+            f, fu, fv = np.zeros((3, *z.shape), dtype=complex)
+            for k in used:
+                f += equation[..., k] * (u ** a[k] * v ** b[k])
+                fu += equation[..., k] * (a[k] * u ** max(a[k] - 1, 0) * v ** b[k])
+                fv += equation[..., k] * (b[k] * u ** a[k] * v ** max(b[k] - 1, 0))
+            det = (fu.conj() * fv).imag
+            u, v = u - (f.conj() * fv).imag / det, v - (fu.conj() * f).imag / det
+        off = np.maximum(np.abs(u - goal[:, 0]), np.abs(v - goal[:, 1])).max(axis=1)
+    return off < _OFF

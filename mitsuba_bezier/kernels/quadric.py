@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from .arrays import Types, dot3, gather_packets
-from .structure import GROUP, MEMBER, Structure
+from .structure import FEW, GROUP, MEMBER, TABLE, Structure
 from .trim import leaf_test
 
 __all__ = ["edge_tolerance", "group_hit"]
@@ -84,10 +84,18 @@ def group_hit(
     p1 = [ty.Float(dr.fma(near, dd[i], p[i])) for i in range(3)]
     p2 = [ty.Float(dr.fma(far, dd[i], p[i])) for i in range(3)]
 
-    first = ty.UInt(g[13])
-    last = first + ty.UInt(g[14])
+    first, count = ty.UInt(g[13]), ty.UInt(g[14])
+    k, following = first, first + 1
+    if dr.width(s.members) > dr.width(s.rows):
+        first = first + (group + 1) * TABLE
+        point = [dr.select(want1, a, b) for a, b in zip(p1, p2)]
+        many = count >= FEW
+        likely = _likely_member(s, ty, first, point, many & (want1 | want2))
+        k = dr.select(many, first + dr.minimum(likely, count - 1), first)
+        following = dr.select(many, first, first + 1)
+    last = first + count
     none = dr.zeros(ty.UInt)
-    state = (want1 | want2, first, ty.Bool(False), ty.Bool(False), none, none)
+    state = (want1 | want2, k, following, ty.Bool(False), ty.Bool(False), none, none)
 
     def inside(m: list[Any], p: list[Any]) -> Any:
         bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
@@ -104,7 +112,7 @@ def group_hit(
         point = [dr.fma(along, dd[i], p[i]) for i in range(3)]
         return _barycentrics(s, ty, leaf, point, active)
 
-    def body(run, k, hit1, hit2, leaf1, leaf2):
+    def body(run, k, following, hit1, hit2, leaf1, leaf2):
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
         in1 = want1 & ~hit1 & inside(m, p1)
@@ -115,15 +123,14 @@ def group_hit(
             in2 = in2 & kept(*parameters(leaf, far, in2), in2)
         hit1, hit2 = hit1 | in1, hit2 | in2
         leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
-        k = k + 1
-        run = run & (k < last) & ~hit1 & (want1 | ~hit2)
-        return run, k, hit1, hit2, leaf1, leaf2
+        run = run & (following < last) & ~hit1 & (want1 | ~hit2)
+        return run, following, following + 1, hit1, hit2, leaf1, leaf2
 
-    _run, _k, hit1, hit2, leaf1, leaf2 = dr.while_loop(
+    _run, _k, _following, hit1, hit2, leaf1, leaf2 = dr.while_loop(
         state,
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "member", "hit1", "hit2", "leaf1", "leaf2"),
+        labels=("run", "member", "following", "hit1", "hit2", "leaf1", "leaf2"),
         label="bezier group members",
     )
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
@@ -131,6 +138,19 @@ def group_hit(
     u, v = parameters(leaf, along, hit)
     u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
     return hit, dr.select(hit1, t1, t2), u, v, leaf
+
+
+def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active: Any) -> Any:
+    """Look up which member of a group covers a point, most likely, in the table before them."""
+    floats, bits = first * MEMBER, ty.UInt(0)
+    word = dr.gather(ty.Float32, s.members, floats + (MEMBER - 1), active)
+    word = dr.reinterpret_array(ty.UInt, word)
+    for a in range(3):
+        scale = dr.reinterpret_array(ty.Float32, ((word >> (10 * a)) & 1023) << 21)
+        cell = ty.UInt(dr.clip(dr.fma(point[a], ty.Float(scale), 4.0), 0.0, 7.0))
+        bits = bits | ((cell & 7) << (3 * a))
+    word = dr.gather(ty.Float32, s.members, floats - TABLE * MEMBER + (bits >> 3), active)
+    return (dr.reinterpret_array(ty.UInt, word) >> ((bits & 7) << 2)) & 15
 
 
 def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
+from ..geometry.section_leaves import edge_planes
 from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
 
@@ -28,6 +29,11 @@ HEAD = 8
 GROUP = 16
 #: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`, `SECTION`.
 MEMBER = 16
+#: Before the members of each group, if one has at least `FEW`, so many records: a table of four
+#: bits for each of 8 x 8 x 8 cells about the group's origin, the member that covers it most likely.
+#: The last float of the group's first member holds the three factors that take lengths to cells.
+TABLE = 4
+FEW = 3
 #: Floats in a domain record: leaf-to-patch map 9, then as bits the patch, and 1 + the trim cell;
 #: `SECTION`.
 DOMAIN = 16
@@ -216,6 +222,10 @@ def _groups(leaves: Leaves, exact: np.ndarray, first: np.ndarray, size: np.ndarr
 def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     out = np.zeros((len(exact), MEMBER), dtype=np.float32)
     rows = leaves.frame[exact, :3]
+    sections = np.flatnonzero(leaves.form[exact, SECTION] > 0)
+    if len(sections):
+        rows = rows.copy()
+        rows[sections] = edge_planes(leaves.select(exact[sections]))
     # scaled to what the rows give at the patch, so that an error of float32 has one size
     reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
     scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
@@ -224,14 +234,48 @@ def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     out[:, 13] = leaves.form[exact, LEAST] / scale
     out[:, 14] = leaves.form[exact, SECTION]
     out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
+    return _with_tables(leaves, exact, out)
+
+
+def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.ndarray:
+    """Put the table of each group before its members; see `TABLE`."""
+    first, size = _ranges(leaves.group[exact])
+    if size.max(initial=0) < FEW:
+        return members
+    out = np.zeros((len(members) + TABLE * len(first), MEMBER), dtype=np.float32)
+    cells = (np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1) - 3.5) / 4
+    cells = cells.transpose(2, 1, 0, 3).reshape(-1, 3)  # x runs fastest
+    for number, (start, count) in enumerate(zip(first, size)):
+        mine = members[start : start + count]
+        if count >= FEW:
+            corners = leaves.box[exact[start : start + count]] - leaves.shift[exact[start]]
+            corners = np.where(np.isfinite(corners), np.abs(corners), 0.0)
+            half = np.maximum(corners.max(axis=(0, 1)), 1e-6 * corners.max() + 1e-30)
+            # three floats of ten bits: exponent and two of the mantissa, rounded down
+            bits = (4 / half).astype(np.float32).view(np.uint32) >> np.uint32(21)
+            half = 4 / (bits << np.uint32(21)).view(np.float32)
+            bits = bits << np.arange(0, 30, 10, dtype=np.uint32)
+            mine[0, MEMBER - 1] = bits.sum(dtype=np.uint32).view(np.float32)
+            rows = mine[:, :12].reshape(-1, 4)
+            value = rows[:, :3] @ (cells * half).T + rows[:, 3:]
+            value = value.reshape(count, 3, -1)
+            total = value.sum(axis=1)
+            # planes have sides, barycentrics have not
+            sign = np.where(mine[:, 14:15] > 0, 1.0, np.sign(total))
+            lowest = (value * sign[:, None]).min(axis=1) / np.maximum(np.abs(total), 1e-30)
+            likely = lowest.argmax(axis=0).astype(np.uint32).reshape(-1, 8)
+            words = (likely << np.arange(0, 32, 4, dtype=np.uint32)).sum(axis=1, dtype=np.uint32)
+            out[start + TABLE * number :][:TABLE] = words.view(np.float32).reshape(TABLE, MEMBER)
+        out[start + TABLE * (number + 1) :][:count] = mine
     return out
 
 
 def _planes(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
-    width = leaves.net.shape[1] * 4
-    out = np.zeros((len(exact), -(-width // 8) * 8), dtype=np.float32)
-    out[:, :width] = leaves.net[exact].reshape(len(exact), width)
-    return out
+    nets = leaves.net[exact]
+    powers = bernstein.multi_indices(bernstein.degree_of(nets.shape[1]))[:, :2]
+    degree = int(powers[nets.any(axis=(0, 2))].sum(axis=1).max())
+    kept = nets[:, powers.sum(axis=1) <= degree].reshape(len(exact), -1)
+    return np.pad(kept, ((0, 0), (0, -kept.shape[1] % 8))).astype(np.float32)
 
 
 def _half_size(box: np.ndarray) -> np.ndarray:

@@ -184,6 +184,29 @@ def surface_interaction(
     the ray, or with `mi.RayFlags.FollowShape` at fixed parameters.
     """
     ours = hit.bezier & mi.Bool(active)
+    if dr.grad_enabled(tables.nets, ray):  # Dr.Jit does not differentiate what a branch gathers
+        return _interaction(tables, hit, ray, flags, ours)
+    # a gather costs a packet the same for one ray as for all: none where no ray hits a patch
+    return dr.if_stmt(
+        args=(hit, ray, ours),
+        cond=ours,
+        true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours),
+        false_fn=lambda _hit, ray, _ours: _no_interaction(ray),
+        label="bezier interaction",
+    )
+
+
+def _no_interaction(ray: Any) -> Any:
+    """Return what Mitsuba takes for a miss."""
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
+    si.t = dr.inf
+    si.time, si.wavelengths = ray.time, ray.wavelengths
+    si.wi = -ray.d
+    return si
+
+
+def _interaction(tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any) -> Any:
+    """Return the interactions of the hits `ours`; see `surface_interaction`."""
     pi = hit.pi
     u, v, t = pi.prim_uv.x, pi.prim_uv.y, pi.t
     attached = dr.grad_enabled(tables.nets, ray)
