@@ -73,8 +73,10 @@ _INFLATED = 1.5
 
 #: A parameter triangle that reaches out by this times what the chart triangle does will do.
 _STEEP = 1.15
-#: ... and if not, larger ones are tried, so many.
-_TRIES = 3
+#: ... and if not, larger ones are tried: so many in all.
+_TRIES = 4
+#: The edges of the parameter triangle are sampled at the ends of so many pieces.
+_PIECES = 8
 
 #: Leaves examined at a time: what fits in the cache.
 _CHUNK = 512
@@ -93,7 +95,7 @@ _HIGH = 9
 
 @dataclass
 class LeafBounds:
-    """Bounds of `L` leaves. Where they are not proved they are twice the samples' maxima."""
+    """Bounds of `L` leaves. Where they are not proved they are guesses, or infinite."""
 
     proved: np.ndarray  #: (L,) bool
     size: np.ndarray  #: (L,) index of `SIZES`: of the triangle on which they hold
@@ -120,7 +122,7 @@ def leaf_bounds(
     chart : (L, K, 4) array
         Bernstein coefficients ``X, Y, Z, W`` in the leaves' charts, corners near the unit triangle.
     margin, inward : (L,) arrays
-        What `edge_reach` says, or more; the bounds are for this margin.
+        What `edge_reach` says; the bounds are for this margin, which may be more.
     lateral : float
         Leaves with more of it are cut anyway, so that finer lattices are not for them.
 
@@ -139,26 +141,16 @@ def leaf_bounds(
             for name in ("lateral", "remainder", "variation", "bending", "height")
         },
     )
-    needed = needed_margin(margin)
-    size = _guess(needed, inward)
-    out.size[:] = size
-    rows = np.arange(count)
     with np.errstate(all="ignore"):
+        size, rows = _sizes(chart, needed_margin(margin), inward)
+        out.size[:] = size
         for lattice in _LATTICES:
-            # a triangle that turns out too small makes way for the next
-            tries = _TRIES if lattice == _LATTICES[0] else 0
-            again = []
-            while len(rows):
-                missing = []
-                for part, s in _by_size(rows, size):
-                    found, covers, worth = _bound(chart[part], needed[part], lateral, n, s, lattice)
-                    out.put(part, found)
-                    missing.append(part[worth & ~covers & (tries > 0) & (s < len(SIZES) - 1)])
-                    again.append(part[worth & covers])
-                rows = np.concatenate(missing)
-                size[rows] += 1
-                tries -= 1
-            rows = np.concatenate(again) if again else rows
+            again = [rows[:0]]
+            for part, s in _by_size(rows, size):
+                found, worth = _bound(chart[part], lateral, n, s, lattice)
+                out.put(part, found)
+                again.append(part[worth])
+            rows = np.concatenate(again)
     return out
 
 
@@ -233,11 +225,53 @@ def edge_reach(chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return out, inward
 
 
-def _guess(needed: np.ndarray, inward: np.ndarray) -> np.ndarray:
-    """Return the index of the size that will probably do."""
-    with np.errstate(invalid="ignore"):
-        reach = _STEEP * np.nan_to_num(needed + inward, nan=np.inf, posinf=np.inf)
-    return np.minimum(np.searchsorted(SIZES, reach), len(SIZES) - 1)
+def _sizes(
+    chart: np.ndarray, needed: np.ndarray, inward: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the size of the triangle ``T`` for each leaf, and for which leaves it will do."""
+    n = bernstein.degree_of(chart.shape[1])
+    reach = np.nan_to_num(_STEEP * (needed + inward), nan=np.inf)
+    size = np.minimum(np.searchsorted(SIZES, reach), len(SIZES) - 1)
+    rows = np.arange(len(chart))
+    covered = [rows[:0]]
+    for _ in range(_TRIES):
+        missing = [rows[:0]]
+        for part, s in _by_size(rows, size):
+            found = _covers(chart[part], needed[part], n, s)
+            covered.append(part[found])
+            missing.append(part[~found & (s < len(SIZES) - 1)])
+        rows = np.concatenate(missing)
+        size[rows] += 1
+    return size, np.sort(np.concatenate(covered))
+
+
+@cache
+def _edge_matrices(n: int, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples, and coefficients of the second derivatives, of a net on the edges of T."""
+    to_t = _to_triangle(n, size)
+    at = bernstein.multi_indices(_PIECES)
+    ijk = bernstein.multi_indices(n)
+    values = bernstein.basis(n, at[:, :2] / _PIECES) @ to_t
+    bent = [np.diff(to_t[ijk[:, e] == 0], 2, axis=0) * (n * (n - 1)) for e in range(3)]
+    if n == 1:
+        bent = [np.zeros((1, 3))] * 3
+    return np.stack([values[at[:, e] == 0] for e in range(3)]), np.stack(bent)
+
+
+def _covers(chart: np.ndarray, needed: np.ndarray, n: int, size: int) -> np.ndarray:
+    """Tell for which leaves the edges of ``T`` do not meet ``P``.
+
+    Each piece between two samples has to be beyond one of the edges of ``P``: ``U + m W < 0`` for a
+    barycentric ``U``, a polynomial, which is off its linear interpolation by at most an eighth of
+    its second derivative.
+    """
+    x, y, w = chart[..., 0].T, chart[..., 1].T, chart[..., 3].T
+    net = np.concatenate([x + needed * w, y + needed * w, w - x - y + needed * w], axis=1)
+    values, bent = (m @ net for m in _edge_matrices(n, size))  # edge, sample, barycentric and leaf
+    most = np.maximum(values[:, 1:], values[:, :-1])
+    most += np.abs(bent).max(axis=1, keepdims=True) / (8 * _PIECES**2)
+    beyond = (most < 0).reshape(*most.shape[:2], 3, -1)
+    return beyond.any(axis=2).all(axis=(0, 1))
 
 
 @dataclass(frozen=True)
@@ -249,17 +283,20 @@ class _Operators:
     values: np.ndarray  #: values on the lattice of degree 2 n
     numerator: tuple[np.ndarray, ...]  #: from those values to partials of order 3 and 4
     loss: tuple[float, ...]  #: rounding of these, relative to the values
-    edges: tuple[np.ndarray, ...]  #: second differences of coefficients along the edges of T
-    on_edge: tuple[np.ndarray, ...]  #: rows of the samples on the edges
     uv: np.ndarray  #: the lattice
     gap: float  #: ``c`` of the module's docstring
 
 
+def _to_triangle(n: int, size: int) -> np.ndarray:
+    """Return the matrix to the coefficients on ``T``."""
+    s = SIZES[size]
+    return bernstein.subdivision_matrix(n, np.full((3, 3), -s) + (1 + 3 * s) * np.eye(3))
+
+
 @cache
 def _operators(n: int, size: int, lattice: int) -> _Operators:
-    s = SIZES[size]
-    leg = 1 + 3 * s
-    to_t = bernstein.subdivision_matrix(n, np.full((3, 3), -s) + leg * np.eye(3))
+    leg = 1 + 3 * SIZES[size]
+    to_t = _to_triangle(n, size)
     at = bernstein.multi_indices(lattice)
     samples = np.concatenate(
         [
@@ -274,15 +311,12 @@ def _operators(n: int, size: int, lattice: int) -> _Operators:
     if n < _HIGH:
         inverse = np.linalg.inv(bernstein.basis(2 * n, double))
         numerator = tuple(np.concatenate(_partials(2 * n, k)) @ inverse / leg**k for k in (3, 4))
-    ijk = bernstein.multi_indices(n)
     return _Operators(
         samples=samples,
         differences=differences,
         values=bernstein.basis(n, double) @ to_t,
         numerator=numerator,
         loss=tuple(_ROUNDING * np.abs(m).sum(axis=1).max() for m in numerator),
-        edges=tuple(np.diff(to_t[ijk[:, e] == 0], 2, axis=0) * (n * (n - 1)) for e in range(3)),
-        on_edge=tuple(np.flatnonzero(at[:, e] == 0) for e in range(3)),
         uv=1 / 3 + (at[:, :2] / lattice - 1 / 3) * leg,
         gap=(leg / lattice) ** 2 / 4,
     )
@@ -377,15 +411,14 @@ def _norm2_symmetric(a, b, c):
 
 
 def _bound(
-    chart: np.ndarray, needed: np.ndarray, limit: float, n: int, size: int, lattice: int
-) -> tuple[LeafBounds, np.ndarray, np.ndarray]:
-    """Bound leaves on a triangle; tell where it is large enough, and whether to try again."""
+    chart: np.ndarray, limit: float, n: int, size: int, lattice: int
+) -> tuple[LeafBounds, np.ndarray]:
+    """Bound leaves on a triangle; tell for which a finer lattice is worth while."""
     op = _operators(n, size, lattice)
     c = op.gap
     count = len(chart)
     net = np.ascontiguousarray(chart.transpose(1, 2, 0)).reshape(chart.shape[1], -1)
     jets = (op.samples @ net).reshape(6, -1, 4, count).transpose(0, 2, 1, 3)
-    covers = _covers(op, jets[0], net, needed, lattice)
 
     # samples of the affine point and its partials; (component, sample, leaf)
     w = jets[0, 3]
@@ -475,7 +508,7 @@ def _bound(
 
     proved_variation, proved_remainder = variation + c * k2, remainder + c * (bend + c * r4)
     path = (f[1] / mu) ** 2
-    proved = covers & positive & np.isfinite(k2) & np.isfinite(proved_remainder)
+    proved = positive & np.isfinite(k2) & np.isfinite(proved_remainder)
     worth = ~proved | (proved_variation > _INFLATED * variation + 1e-5)
     worth &= positive & (lateral <= limit)
     bounds = LeafBounds(
@@ -489,33 +522,7 @@ def _bound(
         height=np.abs(z).max(axis=0),
         quadratics=quadratics,
     )
-    return bounds, covers, worth
-
-
-def _covers(
-    op: _Operators, value: np.ndarray, net: np.ndarray, needed: np.ndarray, lattice: int
-) -> np.ndarray:
-    """Tell for which leaves the edges of ``T`` do not meet ``P``.
-
-    Each piece between two samples has to be beyond one of the edges of ``P``: ``U + m W < 0`` for a
-    barycentric ``U``, a polynomial, which is off its linear interpolation by at most an eighth of
-    its second derivative.
-    """
-    out = np.ones(len(needed), dtype=bool)
-    for on_edge, edge in zip(op.on_edge, op.edges):
-        on = _beyond(value[:, on_edge], needed)
-        most = np.maximum(on[:, 1:], on[:, :-1])
-        if len(edge):
-            bent = _beyond((edge @ net).reshape(-1, 4, len(needed)).transpose(1, 0, 2), needed)
-            most += np.abs(bent).max(axis=1, keepdims=True) / (8 * lattice**2)
-        out &= (most < 0).any(axis=0).all(axis=0)
-    return out
-
-
-def _beyond(point: np.ndarray, needed: np.ndarray) -> np.ndarray:
-    """Return ``U + m W`` of the three barycentrics of chart points ``(4, ..., L)``."""
-    x, y, _z, w = point
-    return np.stack([x, y, w - x - y]) + needed * w
+    return bounds, worth
 
 
 def _fit(
