@@ -221,6 +221,16 @@ def test_rays_through_points_of_a_net(n, kind):
     assert structure.has_groups == (n == 1) and structure.has_affine == (n > 1)
 
 
+@pytest.mark.parametrize("n", [2, 3, 6])
+@pytest.mark.parametrize("weight", [1.0, 3.0])
+def test_polynomial_nets_store_no_weights(n, weight):
+    patches = random_nets(n, 3, seed=50 + n, weights=(1.0, 1.0))
+    patches = mb.BezierTriangles(weight * patches.control_points)
+    off, structure = check_hits(patches, llvm.Float, n)
+    assert off < 2e-7  # as above
+    assert structure.components == 3
+
+
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_grazing_rays(n):
     # at half a degree to six degrees the march has to creep along the surface, and a bound that

@@ -9,6 +9,7 @@ from typing import Any
 
 import drjit as dr
 
+from ..geometry import bernstein
 from ..geometry.leaves import BENDING_LIMIT, SIZES
 from .arrays import Types, gather_packets, types_of
 from .chart import ChartLine, first_root, projective_line
@@ -60,7 +61,8 @@ def march(
 def _march_affine(
     s: Structure, ty: Types, leaf: Any, line: ChartLine, t_max: Any, active: Any
 ) -> tuple[Any, Any, Any, Any]:
-    data = gather_packets(s.nets, leaf, HEAD + (s.degree + 1) * (s.degree + 2) * 2, active)
+    count = HEAD + bernstein.size(s.degree) * s.components
+    data = gather_packets(s.nets, leaf, count, active)
     x0, e = [line.x, line.y, line.z], [line.ex, line.ey, line.ez]
 
     def parameter(tau: Any) -> Any:
@@ -75,7 +77,7 @@ def _march_projective(
 ) -> tuple[Any, Any, Any, Any]:
     """March in float64: distances to the plane at infinity are differences of numbers near one."""
     record = gather_packets(s.projective, leaf, PROJECTIVE, active)
-    data = gather_packets(s.far_nets, leaf, HEAD + (s.degree + 1) * (s.degree + 2) * 2, active)
+    data = gather_packets(s.far_nets, leaf, HEAD + bernstein.size(s.degree) * 4, active)
     x0, e, to_t, both = projective_line(ty, record, o, d)
     hit, t, u, v = _march(
         s.degree,
@@ -162,12 +164,15 @@ def _march(
 
     def body(run, step, tau, u, v, sign, hit, best, best_u, best_v):
         p, pu, pv = horner(net, n, u, v)
-        inv = dr.rcp(1.0 + p[3])
-        x, y, z = (u + p[0]) * inv, (v + p[1]) * inv, p[2] * inv
-        # partials of the affine chart point; the identity was split off x, y and W
-        xu, xv = (1.0 + pu[0] - x * pu[3]) * inv, (pv[0] - x * pv[3]) * inv
-        yu, yv = (pu[1] - y * pu[3]) * inv, (1.0 + pv[1] - y * pv[3]) * inv
-        zu, zv = (pu[2] - z * pu[3]) * inv, (pv[2] - z * pv[3]) * inv
+        # the identity was split off x, y and the weight, which is one where it is not stored
+        x, y, z = u + p[0], v + p[1], p[2]
+        xu, xv, yu, yv, zu, zv = 1.0 + pu[0], pv[0], pu[1], 1.0 + pv[1], pu[2], pv[2]
+        if len(p) == 4:
+            inv = dr.rcp(1.0 + p[3])
+            x, y, z = x * inv, y * inv, z * inv
+            xu, xv = (xu - x * pu[3]) * inv, (xv - x * pv[3]) * inv
+            yu, yv = (yu - y * pu[3]) * inv, (yv - y * pv[3]) * inv
+            zu, zv = (zu - z * pu[3]) * inv, (zv - z * pv[3]) * inv
         idet = dr.rcp(dr.fma(xu, yv, -xv * yu))
         rx, ry = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y
         du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet

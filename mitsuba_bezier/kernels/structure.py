@@ -55,14 +55,15 @@ class Structure:
     first_group: Any  #: UInt, and of the third
     affine: Any  #: Float32, x `AFFINE`
     projective: Any  #: Float32, x `PROJECTIVE`
-    nets: Any  #: Float32, x (`HEAD` + K * 4), padded to packets of eight; affine leaves
-    far_nets: Any  #: Float64, the same for projective leaves
+    nets: Any  #: Float32, x (`HEAD` + K * `components`), padded to packets of eight; affine leaves
+    far_nets: Any  #: Float64, the same for projective leaves, four components
     groups: Any  #: Float64, x `GROUP`
     members: Any  #: Float32, x `MEMBER`
     rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
     planes: Any  #: Float32, x K * 4: the values of the rows on each member, if there are sections
     domain: Any  #: Float32, x `DOMAIN`
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
+    components: int  #: of `nets`: 4, or 3 where all weights are one
     affine_count: int
     graph_count: int  #: affine and projective
     group_count: int
@@ -134,10 +135,13 @@ def build_structure(
         owner = np.concatenate([objects[graph], objects[exact[group_first]]])
     nodes = build_nodes(boxes, ty, owner)
     sections = bool((leaves.form[exact, SECTION] > 0).any())
+    # polynomial patches have weight one on all leaves, up to rounding of float64
+    rational = bool((np.abs(leaves.net[affine, :, 3]) > 1e-12).any())
+    components = 4 if rational else 3
     arrays = {
         "affine": _affine_records(leaves, affine),
         "projective": _projective_records(leaves, projective),
-        "nets": _nets(leaves, affine).astype(np.float32),
+        "nets": _nets(leaves, affine, components).astype(np.float32),
         "far_nets": _nets(leaves, projective),
         "groups": _groups(leaves, exact, group_first, group_size),
         "members": _members(leaves, exact, len(graph)),
@@ -154,6 +158,7 @@ def build_structure(
         first_projective=dr.opaque(ty.UInt, len(affine)),
         first_group=dr.opaque(ty.UInt, len(graph)),
         degree=bernstein.degree_of(leaves.net.shape[1]),
+        components=components,
         affine_count=len(affine),
         graph_count=len(graph),
         group_count=len(group_first),
@@ -199,12 +204,12 @@ def _projective_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
     return out
 
 
-def _nets(leaves: Leaves, which: np.ndarray) -> np.ndarray:
-    width = HEAD + leaves.net.shape[1] * 4
+def _nets(leaves: Leaves, which: np.ndarray, components: int = 4) -> np.ndarray:
+    width = HEAD + leaves.net.shape[1] * components
     out = np.zeros((len(which), -(-width // 8) * 8))
     out[:, 0:2] = leaves.form[which, 4:6]
     out[:, 2:8] = leaves.form[which, 7:13]
-    out[:, HEAD:width] = leaves.net[which].reshape(len(which), width - HEAD)
+    out[:, HEAD:width] = leaves.net[which, :, :components].reshape(len(which), width - HEAD)
     return out
 
 
