@@ -29,7 +29,9 @@ def in_order(leaves: Leaves) -> Leaves:
 MIXED = mb.BezierTriangles(
     np.concatenate(
         [
-            mb.sphere(cover="tetrahedral").elevate(2).control_points,  # quartics, no closed form
+            mb.sphere(cover="tetrahedral")
+            .elevate(2)
+            .control_points,  # quartics that are elevations
             mb.sphere().control_points,  # octants
             mb.torus().control_points,
         ]

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from .degree_reduction import reduce_degree
 from .exact_leaves import exact_leaves
 from .graph_leaves import subdivide
-from .leaves import LeafSettings, Leaves
+from .leaves import DEVIATION, LeafSettings, Leaves
 from .section_leaves import section_leaves
 from .triangles import BezierTriangles
 
@@ -38,7 +39,9 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     numbers = np.arange(len(patches))
     parts: list[Leaves] = []
     if settings.closed_form:
-        for find in (exact_leaves, section_leaves)[: 2 if settings.sections else 1]:
+        for find in (exact_leaves, _elevated_leaves, section_leaves)[
+            : 3 if settings.sections else 2
+        ]:
             if not len(numbers):
                 break
             found, exact = find(patches[numbers])
@@ -50,6 +53,25 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
         chunk = slice(first, first + _CHUNK)
         parts.extend(subdivide(nets[chunk], numbers[chunk], settings))
     return Leaves.join(parts)
+
+
+def _elevated_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+    """Find patches that are elevations of exact leaves; see `exact_leaves`."""
+    found = np.zeros(len(patches), dtype=bool)
+    parts = [Leaves.empty(patches.control_points.shape[1])]
+    for degree in range(1, min(patches.degree, 3)):
+        numbers = np.flatnonzero(~found)
+        if not len(numbers):
+            break
+        reducible, lower, residual = reduce_degree(patches[numbers], degree)
+        if lower is None:
+            continue
+        exact, leaves = exact_leaves(lower)
+        leaves.form[:, DEVIATION] += residual[leaves.patch]
+        leaves.patch = numbers[reducible][leaves.patch]
+        found[numbers[reducible][exact]] = True
+        parts.append(leaves)
+    return found, Leaves.join(parts)
 
 
 def rebuild_leaves(

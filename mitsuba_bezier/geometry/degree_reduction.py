@@ -1,0 +1,53 @@
+"""Nets that are elevations of nets of lower degree: sets of mixed degrees come like that."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from . import bernstein
+from .quadric_groups import centre_and_size
+from .triangles import BezierTriangles
+
+__all__ = ["reduce_degree"]
+
+#: How far an elevation may be from the net, relative to its size: five roundings of float32, as a
+#: net may have come through Mitsuba's tensors.
+_TOLERANCE = 3e-7
+
+
+@cache
+def _matrices(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the elevation from degree `m` to `n`, and the least squares inverse."""
+    up = np.eye(bernstein.size(m))
+    for k in range(m, n):
+        up = bernstein.elevation_matrix(k) @ up
+    return up, np.linalg.pinv(up)
+
+
+def reduce_degree(
+    patches: BezierTriangles, degree: int
+) -> tuple[np.ndarray, BezierTriangles | None, np.ndarray]:
+    """Find patches that are elevations of nets of degree `degree`, and these nets.
+
+    Parameters are the same before and after.
+
+    Returns
+    -------
+    found : (P,) bool array
+    nets : BezierTriangles or None
+        Of those found.
+    residual : array
+        How far off the elevations of these are, relative to the patches' sizes.
+    """
+    nets = patches.control_points
+    up, down = _matrices(patches.degree, degree)
+    shift, size = centre_and_size(patches)
+    local = nets.copy()
+    local[..., :3] = (local[..., :3] - local[..., 3:] * shift[:, None]) / size[:, None, None]
+    local /= np.abs(local).max(axis=(1, 2), keepdims=True)
+    residual = np.abs(up @ (down @ local) - local).max(axis=(1, 2))
+    found = residual <= _TOLERANCE
+    lower = BezierTriangles(down @ nets[found]) if found.any() else None
+    return found, lower, residual[found]
