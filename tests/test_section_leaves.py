@@ -10,7 +10,7 @@ from drjit import llvm
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import SECTION
+from mitsuba_bezier.geometry.leaves import SECTION, Leaves
 from mitsuba_bezier.geometry.section_leaves import edge_planes
 from mitsuba_bezier.kernels import quadric, structure
 from mitsuba_bezier.kernels.traverse import intersect
@@ -48,8 +48,8 @@ def rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return a.astype(np.float32), (0.5 * b - a).astype(np.float32)
 
 
-def hits(patches: mb.BezierTriangles, o: np.ndarray, d: np.ndarray):
-    built = structure.build_structure(build_leaves(patches), llvm.Float)
+def hits(leaves: Leaves, o: np.ndarray, d: np.ndarray):
+    built = structure.build_structure(leaves, llvm.Float)
     columns = [[llvm.Float(np.ascontiguousarray(x[:, k])) for k in range(3)] for x in (o, d)]
     hit = intersect(built, *columns, llvm.Float(dr.inf))
     return np.array(hit.valid), np.array(hit.t), np.array(hit.patch), np.array([hit.u, hit.v]).T
@@ -95,7 +95,7 @@ def test_planes_are_those_of_the_edges(kind):
 def test_parameters_belong_to_the_hit(kind):
     patches = turned(OCTANTS[kind][0])
     o, d = rays(50_000, 4)
-    valid, _t, patch, uv = hits(patches, o, d)
+    valid, _t, patch, uv = hits(build_leaves(patches), o, d)
     assert valid.sum() > 10_000
     points = patches.points(patch[valid], uv[valid].astype(np.float64))
     o, d = o[valid].astype(np.float64), d[valid].astype(np.float64)
@@ -112,10 +112,10 @@ def test_tables_change_the_order_only(cover, part, monkeypatch):
     nets = [patches.control_points[part], patches.control_points[:3] * [0.5, 0.5, 0.5, 1]]
     patches = mb.BezierTriangles(np.concatenate(nets))
     o, d = rays(50_000, 5)
-    found = hits(patches, o, d)
+    found = hits(build_leaves(patches), o, d)
     for module in (structure, quadric):
         monkeypatch.setattr(module, "FEW", 13)
-    plain = hits(patches, o, d)
+    plain = hits(build_leaves(patches), o, d)
     assert found[0].sum() > 1000 and (found[0] == plain[0]).all()
     assert (found[1] == plain[1]).all()
     # on a common edge it may be either patch
@@ -143,3 +143,35 @@ def test_tables_tell_most_members(cover, monkeypatch):
     dr.eval(hit.valid, reads)
     # one after the other it would be 4.5; in cells that an edge crosses half are told wrong
     assert reads[0] < 2.6 * np.array(hit.valid).sum()
+
+
+@pytest.mark.parametrize("order", ["one", "two", "mixed", "interleaved", "single"])
+def test_patch_numbers(order):
+    octants = turned(mb.sphere(cover="octants")).control_points
+    quadratic = turned(mb.sphere(cover="tetrahedral"), (0.3, 0.3, 0.3)).elevate(2).control_points
+    nets = {
+        "one": octants,
+        "two": np.concatenate([octants, octants * [0.5, 0.5, 0.5, 1]]),
+        "mixed": np.concatenate([octants[:3], quadratic]),
+        "interleaved": np.stack([octants, octants * [0.5, 0.5, 0.5, 1]], axis=1).reshape(16, 15, 4),
+        "single": octants[2:3],
+    }[order]
+    patches = mb.BezierTriangles(nets)
+    if order == "mixed":
+        parts = [
+            mb.BezierTriangles(octants[:3]),
+            turned(mb.sphere(cover="tetrahedral"), (0.3,) * 3),
+        ]
+        leaves = [build_leaves(p) for p in parts]
+        leaves[1].patch = leaves[1].patch + 3
+        leaves = Leaves.join(leaves)
+    else:
+        leaves = build_leaves(patches)
+    assert leaves.exact.all()
+    o, d = rays(50_000, 7)
+    valid, t, patch, uv = hits(leaves, o, d)
+    assert valid.sum() > 500
+    points = patches.points(patch[valid], uv[valid].astype(np.float64))
+    hit = o[valid].astype(np.float64) + t[valid, None].astype(np.float64) * d[valid]
+    # float32 numbers: t of up to 1 times lengths of 8, u and v
+    assert np.abs(points - hit).max() < 3e-6

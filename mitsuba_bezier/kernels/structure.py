@@ -289,10 +289,19 @@ def _half_size(box: np.ndarray) -> np.ndarray:
 
 
 def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.ndarray:
+    section = np.where(leaves.exact[order], leaves.form[order, SECTION], 0.0)
+    if (
+        cells is None
+        and len(order) > 1
+        and leaves.exact.all()
+        and (leaves.patch[order] == np.arange(len(order))).all()
+        and (section == section[0]).all()
+    ):
+        return np.zeros((0, DOMAIN), dtype=np.float32)  # leaf and patch are the same
     out = np.zeros((len(order), DOMAIN), dtype=np.float32)
     out[:, :9] = leaves.domain[order].reshape(-1, 9)
     out[:, 9] = leaves.patch[order].astype(np.uint32).view(np.float32)
-    out[:, 11] = np.where(leaves.exact[order], leaves.form[order, SECTION], 0.0)
+    out[:, 11] = section
     if cells is not None:
         out[:, 10] = (cells[order] + 1).astype(np.uint32).view(np.float32)
     return out

@@ -121,6 +121,10 @@ def finish(
     if any_hit:
         zero = dr.zeros(ty.Float)
         return Hit(valid, t, ty.UInt(0), zero, zero)
+    if dr.width(s.domain) < s.leaf_count * DOMAIN:  # patches are leaves, and of one kind
+        if s.has_sections:
+            u, v = section_parameters(s, ty, leaf, u, v, valid)
+        return Hit(valid, t, dr.select(valid, leaf, 0), u, v)
     m = gather_packets(s.domain, dr.select(valid, leaf, 0), DOMAIN, valid)
     patch = dr.reinterpret_array(ty.UInt, m[9])
     if s.has_sections:
