@@ -10,16 +10,12 @@ import pytest
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.tensor import evaluate_tensor
 from mitsuba_bezier.geometry.triangles import BezierTriangles
+from mitsuba_bezier.io.composition import compose
+from mitsuba_bezier.io.curved_triangles import curved_triangle, jacobian_ratio
 from mitsuba_bezier.io.nurbs_surface import PatchGrid
-from mitsuba_bezier.io.plane_regions import (
-    chain,
-    curved_triangle,
-    jacobian_ratio,
-    region_to_triangles,
-    standard,
-)
+from mitsuba_bezier.io.plane_regions import chain, region_to_triangles, standard
 from mitsuba_bezier.io.polygons import crossing, signed_area, triangulate
-from mitsuba_bezier.io.trimmed_patches import compose, cut, fit_parabolas, trimmed_patches
+from mitsuba_bezier.io.trimmed_patches import cut, fit_parabolas, trimmed_patches
 from mitsuba_bezier.io.trims import rectangles, rectilinear
 
 
