@@ -78,6 +78,8 @@ _BUDGET = 20000
 #: With so many leaves waiting, those that are planar to this, relative to their coordinates, are
 #: cut no further: four planar triangles in place of one are off by a fourth of it, a rounding.
 _CROWD, _FLAT = 500, 2.5e-7
+#: Least cosine between the corners, as homogeneous vectors, of a crumb that meets infinity.
+_CLOSE = 0.9
 #: Crumbs are drawn out by this, so that chords cover the arcs they replace.
 _OVERLAP = 1.03
 
@@ -150,6 +152,11 @@ def _crumbs(
     w = points[..., 3:]
     finite = ((w > 0).all(axis=1) | (w < 0).all(axis=1))[:, :, None]
     points = np.where(finite, points / np.where(w == 0, 1.0, w), points)
+    # beside a base point, where all four coordinates vanish, points of a leaf lie anywhere on a
+    # line; a triangle through them and through infinity would be met by half of all rays
+    size = np.linalg.norm(points, axis=2, keepdims=True)
+    ray = points / np.where(size > 0, size, 1.0)
+    close = np.einsum("tic,tjc->tij", ray, ray).min(axis=(1, 2)) > _CLOSE
     middle = points.mean(axis=1, keepdims=True)
     points = middle + _OVERLAP * (points - middle)
     for m in range(1, n):
@@ -157,7 +164,8 @@ def _crumbs(
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
     leaves, good = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
     leaves.certified[:] = False
-    return leaves.select(good)  # what is not good has no area, and no ray meets it
+    # what is not good has no area, and no ray meets it
+    return leaves.select(good & (close | finite[:, 0, 0]))
 
 
 def _around(corner: int, count: int = 32) -> np.ndarray:
