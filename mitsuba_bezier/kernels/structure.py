@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
+from ..geometry.leaves import DEVIATION, FORM_ENTRIES, LEAST, SECTION, Leaves
 from ..geometry.section_leaves import edge_planes
 from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
@@ -262,7 +262,8 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
             bits = bits << np.arange(0, 30, 10, dtype=np.uint32)
             mine[0, MEMBER - 1] = bits.sum(dtype=np.uint32).view(np.float32)
             rows = mine[:, :12].reshape(-1, 4)
-            value = rows[:, :3] @ (cells * half).T + rows[:, 3:]
+            points = _onto_quadric(leaves.form[exact[start]], cells * half)
+            value = rows[:, :3] @ points.T + rows[:, 3:]
             value = value.reshape(count, 3, -1)
             total = value.sum(axis=1)
             # planes have sides, barycentrics have not
@@ -273,6 +274,21 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
             out[start + TABLE * number :][:TABLE] = words.view(np.float32).reshape(TABLE, MEMBER)
         out[start + TABLE * (number + 1) :][:count] = mine
     return out
+
+
+def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return where the lines to `points` from the origin meet the quadric, near them."""
+    matrix = np.empty((4, 4))
+    for k, (i, j) in enumerate(FORM_ENTRIES):
+        matrix[i, j] = matrix[j, i] = form[k]
+    q = np.einsum("si,ij,sj->s", points, matrix[:3, :3], points)
+    b, c = points @ matrix[:3, 3], matrix[3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(b * b - q * c)
+        scale = np.stack([(-b - root) / q, (-b + root) / q])
+    scale = np.where(np.isfinite(scale), scale, 1.0)
+    near = np.abs(scale - 1.0).argmin(axis=0)
+    return points * np.clip(np.take_along_axis(scale, near[None], axis=0), 0.5, 2.0).T
 
 
 def _planes(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
