@@ -10,8 +10,8 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     patch to a multiple of its barycentrics, and the patch lies on a quadric, whose matrix we
     store. Every intersection has a closed form. All patches of `quadric_patch` and all planar
     triangles of degree one are of this kind. So are patches of higher degree on an ellipsoid
-    whose edges are plane sections: then the rows give the planes, and the net stores their values
-    on the patch, from which the parameters are found.
+    whose edges are plane sections: then the rows give the stereographic coordinates of a point,
+    and the net stores two complex polynomials, from which the parameters are found.
 *graph* leaves
     Everything else, subdivided until the bounds below are small. For them we store the
     quadratic ``a xy + b x(1-x-y) + c y(1-x-y)`` next to ``h`` and
@@ -65,8 +65,8 @@ LEAST = 10
 #: Place of the largest distance of an exact leaf's patch from its quadric, in patch sizes.
 DEVIATION = 11
 
-#: Place of the mark of an exact leaf whose frame gives planes, not barycentrics: those need a few
-#: steps of Newton's method, on the net.
+#: Place of the mark of an exact leaf whose frame gives stereographic coordinates, not barycentrics:
+#: those need a few steps of Newton's method, on the net; see `section_leaves`.
 SECTION = 12
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
@@ -154,7 +154,7 @@ class Leaves:
     shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
     frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: u, v, w, 0) on (p - shift, 1)
     form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric and more)
-    net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1) (exact: planes or 0)
+    net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1) (exact: P, Q or 0)
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
     certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold
     group: np.ndarray  #: (L,) exact leaves with the same number share their quadric; else -1

@@ -27,7 +27,8 @@ PROJECTIVE = 24
 HEAD = 8
 #: Float64 in a group: quadric 10, shift 3, first member, number of members, `DEVIATION`.
 GROUP = 16
-#: Floats in a member of a group: three rows of four, leaf number as bits, `LEAST`, `SECTION`.
+#: Floats in a member of a group: rows of four for its three sides, leaf number as bits, `LEAST`,
+#: `SECTION`.
 MEMBER = 16
 #: Before the members of each group, if one has at least `FEW`, so many records: a table of four
 #: bits for each of 8 x 8 x 8 cells about the group's origin, the member that covers it most likely.
@@ -60,8 +61,8 @@ class Structure:
     groups: Any  #: Float64, x `GROUP`
     members: Any  #: Float32, x `MEMBER`
     rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
-    planes: Any  #: Float32, x K * 4: the values of the rows on each member, if there are sections
-    domain: Any  #: Float32, x `DOMAIN`
+    planes: Any  #: Float32, x K * 4: P and Q of each member (`section_leaves`), if one is a section
+    domain: Any  #: Float32, x `DOMAIN`; nothing where leaves are patches, all of one kind
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
     components: int  #: of `nets`: 4, or 3 where all weights are one
     affine_count: int
@@ -243,7 +244,7 @@ def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
 
 
 def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.ndarray:
-    """Put the table of each group before its members; see `TABLE`."""
+    """Put a table before the members of each group; see `TABLE`."""
     first, size = _ranges(leaves.group[exact])
     if size.max(initial=0) < FEW:
         return members
