@@ -1,0 +1,116 @@
+"""The march where it was wrong once: inward edges, roots at hand, ruled lines, base points."""
+
+from __future__ import annotations
+
+import drjit as dr
+import numpy as np
+import pytest
+from drjit.llvm import Float
+
+import mitsuba_bezier as mb
+from mitsuba_bezier.geometry import analytic, bernstein
+from mitsuba_bezier.geometry.covers import ruled_cover
+from mitsuba_bezier.geometry.leaf_builder import build_leaves
+from mitsuba_bezier.geometry.leaves import LeafSettings
+from mitsuba_bezier.kernels.chart import first_root
+from mitsuba_bezier.kernels.structure import Structure, build_structure
+from mitsuba_bezier.kernels.traverse import intersect
+
+GENERAL = LeafSettings(closed_form=False)
+ONE_SHEET = np.diag([1.0, 1.0, -1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def one_sheet() -> Structure:
+    """The hyperboloid ``x^2 + y^2 = z^2 + 1`` as graph leaves."""
+    return build_structure(build_leaves(ruled_cover(ONE_SHEET), GENERAL), Float)
+
+
+def trace(structure: Structure, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    columns = [[Float(np.ascontiguousarray(a[:, i])) for i in range(3)] for a in (o, d)]
+    return np.array(intersect(structure, *columns, Float(np.inf)).t)
+
+
+def test_a_leaf_whose_edge_bends_inwards(one_sheet):
+    # it enters the leaf's prism where the leaf is not, once taken for the other side of it
+    o = np.array([[1.7358781, -1.7425355, -2.1977838]], dtype=np.float32)
+    d = np.array([[-0.6654433, 0.2565923, 0.7009605]], dtype=np.float32)
+    first = analytic.quadric(ONE_SHEET, o, d).first()
+    # 1e-4: the cosine is 0.0026
+    np.testing.assert_allclose(trace(one_sheet, o, d), first, atol=1e-4)
+
+
+@pytest.mark.parametrize("off", [1e-2, 1e-3])
+def test_rays_along_ruled_lines(one_sheet, off):
+    rng = np.random.default_rng(3)
+    count = 4096
+    turn, side = rng.uniform(0, 2 * np.pi, count), rng.choice([-1, 1], count)
+    o = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    d = np.stack([-side * np.sin(turn), side * np.cos(turn), np.ones(count)], axis=1)
+    d += off * rng.normal(size=d.shape)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    o = o + off * rng.normal(size=o.shape) - 2 * d
+    o, d = o.astype(np.float32), d.astype(np.float32)
+    hits = analytic.quadric(ONE_SHEET, o, d)
+    t = hits.first()
+    x = o + np.where(np.isfinite(t), t, 0.0)[:, None] * d
+    normal = x * (1, 1, -1)
+    cosine = np.abs(np.einsum("ni,ni->n", normal, d)) / np.linalg.norm(normal, axis=1)
+    # what float32 of the ray moves along it is 1e-7 / cosine
+    judged = np.isfinite(t) & (cosine > 3e-5) & (np.abs(t) < 100)
+    assert judged.sum() > 1000
+    np.testing.assert_allclose(trace(one_sheet, o, d)[judged], t[judged], rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("value", "slope", "half_second", "expected"),
+    [
+        (1.0, -1.0, 0.0, 1.0),
+        (1.0, 0.0, -4.0, 0.5),
+        (1.0, 3.0, -4.0, 1.0),
+        (1.0, -2.0, 1.0, 1.0),  # double
+        (1.0, -1.0, 1.0, None),
+        (1.0, 1.0, 0.0, None),
+        (1.0, 0.0, 0.0, None),
+        (0.0, -1.0, -1.0, 0.0),
+        (0.0, 2.0, -1.0, 2.0),  # the root at hand is left behind, the next one counts
+        (0.0, 2.0, 1.0, None),
+        (-0.25, -1.5, 1.0, -0.15),  # just passed
+    ],
+)
+def test_first_root(value, slope, half_second, expected):
+    step, exists = first_root(Float([value]), Float([slope]), Float([half_second]))
+    dr.eval(step, exists)
+    if expected is None:
+        # or so far away that it does not count
+        assert not exists[0] or step[0] > 1e20
+    else:
+        # two digits for the last case, whose root is -0.1514
+        assert exists[0] and step[0] == pytest.approx(expected, rel=1e-2, abs=1e-12)
+
+
+def test_no_stand_ins_through_infinity_at_base_points():
+    # all four coordinates vanish at u = v = 1/3
+    i, j = bernstein.multi_indices(2)[:, :2].T
+    rows = {(a, b): r for r, (a, b) in enumerate(zip(i.tolist(), j.tolist()))}
+    monomial = np.zeros((6, 4))
+    for c, terms in enumerate(
+        (
+            {(1, 0): 1.0, (0, 0): -1 / 3},
+            {(0, 1): 1.0, (0, 0): -1 / 3},
+            {(1, 1): 1.0, (0, 1): -1 / 3, (1, 0): 1.0, (0, 0): -1 / 3},
+            {(1, 1): 1.0, (1, 0): -1 / 3, (0, 1): 0.5, (0, 0): -1 / 6},
+        )
+    ):
+        for power, factor in terms.items():
+            monomial[rows[power], c] = factor
+    net = np.linalg.solve(bernstein.monomial_matrix(2), monomial)
+    leaves = build_leaves(mb.BezierTriangles([net]), LeafSettings(closed_form=False, max_depth=5))
+    crumbs = leaves.select(~leaves.certified)
+    assert len(crumbs) > 10
+    corners = (crumbs.domain / crumbs.domain.sum(axis=1, keepdims=True)).transpose(0, 2, 1)
+    points = bernstein.basis(2, corners[..., :2]) @ net
+    one_sign = (points[..., 3] > 0).all(axis=1) | (points[..., 3] < 0).all(axis=1)
+    unit = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    cosine = np.einsum("tic,tjc->tij", unit, unit).min(axis=(1, 2))
+    assert (one_sign | (cosine > 0.85)).all()
