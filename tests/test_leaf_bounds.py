@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import bernstein, leaf_bounds
+from mitsuba_bezier.geometry import bernstein, leaf_bounds, leaf_cover
 from mitsuba_bezier.geometry.covers import quadric_cover, ruled_cover
 from mitsuba_bezier.geometry.leaf_bounds import LeafBounds
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
@@ -174,10 +174,10 @@ def test_the_map_is_one_to_one_and_covers(charts):
 
 def test_too_small_a_triangle_does_not_cover():
     charts = Charts(SURFACES["torus"])
-    needed = leaf_bounds.needed_margin(charts.margin)
+    needed = leaf_cover.needed_margin(charts.margin)
     assert (needed > charts.margin).all()
-    small = leaf_bounds._covers(charts.net, needed, charts.n, 0)
-    large = leaf_bounds._covers(charts.net, needed, charts.n, 11)
+    small = leaf_cover._covers(charts.net, needed, charts.n, 0)
+    large = leaf_cover._covers(charts.net, needed, charts.n, 11)
     # edges of the torus' leaves bend by some 5 % of the leaf, and 0.004 is the first size
     assert not small.any() and large.mean() > 0.5
 
@@ -213,7 +213,7 @@ def random_charts(n: int, count: int, noise: float) -> np.ndarray:
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_what_is_no_graph_is_not_proved(n):
     net = random_charts(n, 400, 0.7 / n)
-    out, inward = leaf_bounds.edge_reach(net)
+    out, inward = leaf_cover.edge_reach(net)
     bounds = leaf_bounds.leaf_bounds(net, out, inward, 1.0)
     assert isinstance(bounds, LeafBounds) and 0.02 < bounds.proved.mean() < 0.98
     uv = bernstein.multi_indices(30)[:, :2] / 30
@@ -231,7 +231,7 @@ def test_what_is_no_graph_is_not_proved(n):
 def test_edges_reach_no_further_than_they_say():
     net = random_charts(4, 100, 0.3)
     net[..., 3] = np.maximum(net[..., 3], 0.2)
-    out, inward = leaf_bounds.edge_reach(net)
+    out, inward = leaf_cover.edge_reach(net)
     s = np.linspace(0, 1, 101)
     reach, back = np.zeros(100), np.zeros(100)
     for e in range(3):

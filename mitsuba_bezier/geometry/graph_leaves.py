@@ -8,7 +8,8 @@ import numpy as np
 
 from . import bernstein
 from .collapsed import collapsed_edge, fan, strips
-from .leaf_bounds import edge_reach, leaf_bounds
+from .leaf_bounds import leaf_bounds
+from .leaf_cover import edge_reach
 from .leaves import FORM, LeafSettings, Leaves, pack_bending
 from .triangles import BezierTriangles
 
