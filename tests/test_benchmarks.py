@@ -147,7 +147,7 @@ def test_scale(trial):
         assert set(row["parts"]) == {"leaves", "tree", "upload"}
         assert row["leaves"] >= row["patches"]
         assert 32 <= row["bytes_per_leaf"] < 2000  # at least a box
-        assert row["update"]["wall"] > 0
+        assert row["update"]["all"]["wall"] > 0 and row["update"]["few"]["wall"] > 0
     assert rows[0]["net_bytes_per_leaf"] == 0  # closed forms have no net
     assert rows[2]["net_bytes_per_leaf"] >= 10 * 16  # ten control points of four floats
 

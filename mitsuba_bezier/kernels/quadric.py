@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
 from .arrays import Types, dot3, gather_packets
 from .structure import FEW, GROUP, MEMBER, TABLE, Structure
@@ -51,7 +50,7 @@ def group_hit(
     leaf : UInt
     """
     f64 = ty.Float64
-    g = _only_group(s) or gather_packets(s.groups, group, GROUP, active)
+    g = s.only_group or gather_packets(s.groups, group, GROUP, active)
     a = g[:10]
     dd = [f64(d[i]) for i in range(3)]
     od = [f64(o[i]) - g[10 + i] for i in range(3)]
@@ -139,20 +138,6 @@ def group_hit(
     u, v = parameters(leaf, along, hit)
     u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
     return hit, dr.select(hit1, t1, t2), u, v, leaf
-
-
-def _only_group(s: Structure) -> list[Any] | None:
-    """Return the numbers of the record if there is but one: no ray needs to gather it.
-
-    They are data of the kernel, not literals in it; made once, as waiting for the device is slow.
-    """
-    if s.group_count != 1:
-        return None
-    known = vars(s)
-    if "only_group" not in known:
-        number = type(s.groups)
-        known["only_group"] = [dr.opaque(number, float(x)) for x in np.array(s.groups)]
-    return known["only_group"]
 
 
 def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active: Any) -> Any:

@@ -59,6 +59,8 @@ class Structure:
     nets: Any  #: Float32, x (`HEAD` + K * `components`), padded to packets of eight; affine leaves
     far_nets: Any  #: Float64, the same for projective leaves, four components
     groups: Any  #: Float64, x `GROUP`
+    #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
+    only_group: list[Any] | None
     members: Any  #: Float32, x `MEMBER`
     rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
     planes: Any  #: Float32, x K * 4: P and Q of each member (`section_leaves`), if one is a section
@@ -150,12 +152,16 @@ def build_structure(
         "planes": _planes(leaves, exact) if sections else np.zeros((0, 8), dtype=np.float32),
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
+    only = None
+    if len(group_first) == 1:
+        only = [dr.opaque(ty.Float64, float(x)) for x in arrays["groups"][0]]
     return Structure(
         **{
             name: upload(ty.Float64 if a.dtype == np.float64 else ty.Float32, _at_least_one(a))
             for name, a in arrays.items()
         },
         nodes=nodes,
+        only_group=only,
         first_projective=dr.opaque(ty.UInt, len(affine)),
         first_group=dr.opaque(ty.UInt, len(graph)),
         degree=bernstein.degree_of(leaves.net.shape[1]),
