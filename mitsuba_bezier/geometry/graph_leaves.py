@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 
@@ -276,7 +277,8 @@ def _fit_charts(
     chart = np.einsum("lrc,lkc->lkr", frame, moved)  # x, y, z, W
     w = chart[..., 3]
     spread = np.abs(w - 1).max(axis=1)
-    rows = np.flatnonzero((w > 0).all(axis=1))
+    rows = np.flatnonzero((w > 0).all(axis=1) & (spread <= settings.weight))
+    rows = rows[~_hopeless(chart[rows], settings)]
     reach, inward = edge_reach(chart[rows])
     margin = reach + _PAD
     form = np.zeros((len(nets), FORM))
@@ -284,7 +286,6 @@ def _fit_charts(
     bounds = leaf_bounds(chart[rows], margin, inward, settings.lateral)
     good[rows] = (
         bounds.proved
-        & (spread[rows] <= settings.weight)
         & (bounds.lateral <= settings.lateral)
         & (bounds.remainder <= settings.remainder)
         & (bounds.height <= settings.height)
@@ -311,3 +312,23 @@ def _fit_charts(
         group=np.full(len(nets), -1),
     )
     return leaves, good
+
+
+@cache
+def _seven(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return matrices to the values and partials at corners, middles of edges and the middle."""
+    uv = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0, 0.5], [0.5, 0.5], [1 / 3, 1 / 3]])
+    du, dv = bernstein.partials_matrices(n)
+    lower = bernstein.basis(n - 1, uv)
+    return bernstein.basis(n, uv), lower @ du, lower @ dv
+
+
+def _hopeless(chart: np.ndarray, settings: LeafSettings) -> np.ndarray:
+    """Tell from seven points which leaves are too crooked: most are, and bounds are dear."""
+    value, du, dv = (m @ chart for m in _seven(bernstein.degree_of(chart.shape[1])))
+    inv = 1.0 / value[..., 3:]
+    p = value[..., :3] * inv
+    pu, pv = (du[..., :3] - p * du[..., 3:]) * inv, (dv[..., :3] - p * dv[..., 3:]) * inv
+    bent = np.stack([pu[..., :2], pv[..., :2]], axis=-1) - np.eye(2)
+    lateral = np.linalg.norm(bent, ord=2, axis=(-2, -1)).max(axis=1)
+    return (lateral > settings.lateral) | (np.abs(p[..., 2]).max(axis=1) > settings.height)
