@@ -42,7 +42,7 @@ def expected(boxes, o, d, t_max=np.inf):
         slabs = np.sort((boxes[None] - o[:, None, None]) / d[:, None, None], axis=2)
         enter = np.maximum(np.nanmax(slabs[:, :, 0], axis=2), 0)
         leave = np.minimum(np.nanmin(slabs[:, :, 1], axis=2), t_max)
-    return enter <= leave
+    return (enter <= leave) & (enter < np.inf)  # beside a slab that it never enters
 
 
 def some_boxes(count, seed, size=0.1, at=0.0):
@@ -96,6 +96,18 @@ def test_faces_at_infinity():
     met, hit = visits(boxes, o, d), expected(boxes, o, d)
     for ray in range(len(o)):
         assert set(np.flatnonzero(hit[ray])) <= set(met[ray])
+
+
+def test_directions_nearly_along_a_face_at_infinity():
+    # 1e-9 is not zero: what is a thousand times the largest reciprocal has to fit into a float
+    boxes = some_boxes(20, 15)
+    boxes[::3, 0, 0], boxes[1::3, 1, 1] = -np.inf, np.inf
+    o, d = some_rays(400, 16)
+    d[:, 0] = np.float32(10.0) ** -np.arange(1, 41).repeat(10) * np.where(o[:, 1] > 0, 1, -1)
+    d = d.astype(np.float32).astype(float)
+    met, hit = visits(boxes, o, d, 1e15), expected(boxes, o, d, 1e15)
+    for ray in range(len(o)):
+        assert set(np.flatnonzero(hit[ray])) <= set(met[ray]), (o[ray], d[ray])
 
 
 def test_nearer_boxes_come_first_and_those_behind_not_at_all():

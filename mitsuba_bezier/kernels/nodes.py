@@ -17,8 +17,10 @@ __all__ = ["NODE", "Nodes", "Slabs", "Walk", "begin", "build_nodes", "next_leaf"
 #: the faces of the first child and of the second, low and high, in units of the node's own; the
 #: units' exponents (three bytes) and which children are leaves (two bits); nothing.
 NODE = 8
-#: Infinite faces are stored this far away, where slabs overflow and cull nothing.
-_FAR = 1e30
+#: Infinite faces count as this far away: the most that does not overflow with `_LARGEST`.
+_FAR = 1e16
+#: The largest reciprocal of a direction's component.
+_LARGEST = 1e20
 #: What rounding may take from a face in the kernel, in units of its byte: 8 roundings of 512.
 _SLACK = 1e-3
 
@@ -35,6 +37,7 @@ class Nodes:
 
     records: Any  #: Float32, x `NODE`: the node `k` of a tree at its first + k
     leaves: Any  #: UInt: the leaf in node `k` at twice the first + k
+    unbounded: bool  #: whether bytes 0 and 255 stand for infinite faces, in all trees
     first: np.ndarray  #: of each tree
     single: np.ndarray  #: for each tree, whether its root is a leaf
     bounds: list[Any]  #: low and high corner of the first tree, six Floats
@@ -68,13 +71,14 @@ class Walk:
 def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None) -> Nodes:
     """Build the trees over boxes ``(L, 2, 3)``, one for each owner from 0 on."""
     padded = _padded(boxes)
+    unbounded = bool((np.abs(padded) > _FAR).any())
     owner = np.zeros(len(boxes), dtype=int) if owner is None else owner
     records, leaves, firsts, single = [], [], [], []
     first = 0
     for number in range(int(owner.max(initial=0)) + 1):
         mine = np.flatnonzero(owner == number)
         tree = build_tree(padded[mine])
-        record = _records(tree)
+        record = _records(tree, unbounded)
         leaf = np.zeros(2 * len(record), dtype=np.uint32)
         known = tree.leaf != NO_LEAF
         leaf[: len(known)][known] = mine[tree.leaf[known]]
@@ -90,6 +94,7 @@ def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None)
     return Nodes(
         records=upload(like.Float32, all_records.view(np.float32)),
         leaves=upload(like.UInt, all_leaves),
+        unbounded=unbounded,
         first=np.array(firsts, dtype=np.uint32),
         single=np.array(single),
         bounds=[dr.opaque(like.Float, float(x)) for x in (*low, *high)],
@@ -98,23 +103,29 @@ def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None)
     )
 
 
-def _records(tree: Tree) -> np.ndarray:
+def _records(tree: Tree, unbounded: bool) -> np.ndarray:
     """Return the records ``(K, NODE)`` of the nodes up to the last inner one, as uint32."""
     inner = tree.inner
     out = np.zeros((int(inner[-1]) + 1 if len(inner) else 1, NODE), dtype=np.uint32)
-    box = np.clip(tree.bounds[inner], -_FAR, _FAR)
     children = np.stack([tree.bounds[2 * inner], tree.bounds[2 * inner + 1]], axis=1)
-    children = np.clip(children, -_FAR, _FAR)
+    infinite = np.abs(children) > _FAR
+    # the frame is that of the finite faces
+    lowest = np.where(infinite, np.inf, children).min(axis=(1, 2))
+    highest = np.where(infinite, -np.inf, children).max(axis=(1, 2))
+    lowest, highest = (np.where(np.isfinite(x), x, 0.0) for x in (lowest, highest))
     # the origin is rounded down, by up to two units in its last place
-    ulp = np.spacing(np.abs(box[:, 0]).astype(np.float32)).astype(np.float64)
-    extent = np.maximum(box[:, 1] - box[:, 0] + 2 * ulp, 1e-30)
-    exponent = np.ceil(np.log2(extent / 250.0)).astype(int)
+    ulp = np.spacing(np.abs(lowest).astype(np.float32)).astype(np.float64)
+    extent = np.maximum(highest - lowest + 2 * ulp, 1e-30)
+    exponent = np.ceil(np.log2(extent / 248.0)).astype(int)
     unit = 2.0**exponent
-    # a little lower, so that the slack is there at byte 0 as well
-    origin = np.nextafter((box[:, 0] - 2 * _SLACK * unit).astype(np.float32), np.float32(-np.inf))
+    # a little lower, so that the slack is there at the lowest byte as well
+    origin = lowest - (unbounded + 2 * _SLACK) * unit
+    origin = np.nextafter(origin.astype(np.float32), np.float32(-np.inf))
+    children = np.where(infinite, lowest[:, None, None], children)
     steps = (children - origin[:, None, None].astype(np.float64)) / unit[:, None, None]
     low = np.floor(steps[:, :, 0] - _SLACK).astype(np.uint32)
     high = np.ceil(steps[:, :, 1] + _SLACK).astype(np.uint32)
+    low[infinite[:, :, 0]], high[infinite[:, :, 1]] = 0, 255
     out[inner, 0:3] = origin.view(np.uint32)
     for c in range(2):
         out[inner, 3:6] |= (low[:, c] | high[:, c] << np.uint32(8)) << np.uint32(16 * c)
@@ -136,7 +147,7 @@ def _padded(box: np.ndarray) -> np.ndarray:
 def prepare(ty: Types, o: list[Any], d: list[Any]) -> Slabs:
     """Return what slab tests need of rays."""
     # finite reciprocals: zero times infinity would turn a slab into NaN
-    tiny = ty.Float(1e-20)
+    tiny = ty.Float(1.0 / _LARGEST)
     rcp = [dr.rcp(dr.select(dr.abs(c) > tiny, c, dr.select(c < 0.0, -tiny, tiny))) for c in d]
     near = [-dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, o[a] * rcp[a]) for a in range(3)]
     far = [dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, -o[a] * rcp[a]) for a in range(3)]
@@ -178,9 +189,8 @@ def next_leaf(
     """
 
     def body(go, walk):
-        step = _step(
-            ty, gather_packets(nodes.records, first + walk.node, NODE, go), walk, slabs, t_max
-        )
+        record = gather_packets(nodes.records, first + walk.node, NODE, go)
+        step = _step(ty, record, nodes.unbounded, walk, slabs, t_max)
         return go & ~step.at_leaf & (step.node != 0), step
 
     _go, walk = dr.while_loop(
@@ -196,7 +206,9 @@ def next_leaf(
     return _select(found, onward, walk), dr.select(found, leaf, NO_LEAF)
 
 
-def _step(ty: Types, record: list[Any], walk: Walk, slabs: Slabs, t_max: Any) -> Walk:
+def _step(
+    ty: Types, record: list[Any], unbounded: bool, walk: Walk, slabs: Slabs, t_max: Any
+) -> Walk:
     """Test both children of a node; go to the nearer that is hit, or up."""
     units = dr.reinterpret_array(ty.UInt, record[6])
     zero = dr.zeros(ty.Float)
@@ -213,8 +225,12 @@ def _step(ty: Types, record: list[Any], walk: Walk, slabs: Slabs, t_max: Any) ->
         for c in range(2):
             t_near = dr.fma(_face(ty, faces[2 * c]), unit, near)
             t_far = dr.fma(_face(ty, faces[2 * c + 1]), unit, far)
-            enter[c] = dr.select(t_near > enter[c], t_near, enter[c])
-            leave[c] = dr.select(t_far < leave[c], t_far, leave[c])
+            cuts_near, cuts_far = t_near > enter[c], t_far < leave[c]
+            if unbounded:
+                cuts_near &= _is_finite(faces[2 * c])
+                cuts_far &= _is_finite(faces[2 * c + 1])
+            enter[c] = dr.select(cuts_near, t_near, enter[c])
+            leave[c] = dr.select(cuts_far, t_far, leave[c])
     hit = [enter[c] <= leave[c] * _GROW for c in range(2)]
     second = hit[1] & (~hit[0] | (enter[1] < enter[0]))
     child = dr.select(second, ty.UInt(1), 0)
@@ -231,6 +247,11 @@ def _step(ty: Types, record: list[Any], walk: Walk, slabs: Slabs, t_max: Any) ->
 def _face(ty: Types, shifted: Any) -> Any:
     """Return 1 + b / 256 for the byte `b` in bits 15 to 22: the mantissa of a float."""
     return ty.Float(dr.reinterpret_array(ty.Float32, (shifted & 0x7F8000) | 0x3F800000))
+
+
+def _is_finite(shifted: Any) -> Any:
+    """Tell whether a byte is neither 0 nor 255."""
+    return (((shifted + 0x8000) & 0x7F8000) >> 16) != 0
 
 
 def _up(ty: Types, walk: Walk) -> Walk:
