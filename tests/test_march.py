@@ -114,3 +114,47 @@ def test_no_stand_ins_through_infinity_at_base_points():
     unit = points / np.linalg.norm(points, axis=-1, keepdims=True)
     cosine = np.einsum("tic,tjc->tij", unit, unit).min(axis=(1, 2))
     assert (one_sign | (cosine > 0.85)).all()
+
+
+#: A patch with weights of both signs whose parametrisation nearly has a base point: its leaves
+#: there are a thousand times as long as wide.
+HAIRS = mb.BezierTriangles(
+    [
+        [
+            [1.8029861, 0.4668871, 0.5983862, 1.9928936],
+            [-0.3092980, 0.2774411, -0.1530738, -0.4013414],
+            [-0.6349918, 0.2040248, 0.0084814, -0.7350066],
+            [-0.2527271, -0.0671341, 0.1994566, -0.7526388],
+            [0.1949565, 0.0761238, 0.0800975, 0.3470788],
+            [0.0433692, 0.0447713, 0.1163165, -0.7253027],
+            [-0.4431647, -3.2630113, -0.0808779, -2.7646599],
+            [0.0643078, -0.0252776, 0.1773662, 0.3109825],
+            [0.0192044, 0.2437809, -0.1355372, -0.4834815],
+            [0.5410191, -1.1561485, -0.8507317, 2.0076545],
+            [0.1089186, -0.1475999, 0.0767005, -0.3626979],
+            [-0.6169033, 0.4149617, 0.6812336, 1.8805689],
+            [-0.5848227, 0.3660197, -0.1585970, 1.3177252],
+            [-0.6151071, -0.6880926, -0.1228548, 0.9229053],
+            [0.1432603, 0.2249495, -0.0160205, -0.3897462],
+        ]
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("o", "d", "t"),
+    [
+        (
+            (-62.199734, -379.679321, -387.182770),
+            (-0.480529428, -0.205889031, 0.852467716),
+            557.7075,
+        ),
+        ((15.1298447, 61.3431206, 14.9805012), (0.721083879, 0.0934171230, -0.686521113), 39.55896),
+    ],
+)
+def test_leaves_as_thin_as_hairs(o, d, t):
+    # in float32 the quadratic of such a leaf was nonsense at the point of the ray nearest in space
+    structure = build_structure(build_leaves(HAIRS), Float)
+    hit = intersect(structure, [Float([x]) for x in o], [Float([x]) for x in d], Float(np.inf))
+    # 1e-5: the net above is rounded to 1e-7, and the surface is far away
+    assert float(hit.t[0]) == pytest.approx(t, rel=1e-5)

@@ -44,19 +44,6 @@ class ChartLine:
         return ChartLine(dr.zeros(ty.Float64), *zero)
 
 
-def _nearest(ty: Types, shift: list[Any], o: Any, d: Any) -> tuple[Any, list[Any]]:
-    """Return the parameter (float64) and the place of the ray's point nearest `shift`.
-
-    In float64: it is what keeps rays from afar, and scenes far off, exact, as all that follows
-    has numbers of the leaf's own size.
-    """
-    f64 = ty.Float64
-    od = [f64(o[i]) - f64(shift[i]) for i in range(3)]
-    dd = [f64(d[i]) for i in range(3)]
-    t0 = -dot3(od, dd) / dot3(dd, dd)
-    return t0, [ty.Float(dr.fma(t0, dd[i], od[i])) for i in range(3)]
-
-
 def cull(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, ChartLine]:
@@ -88,9 +75,22 @@ def _cull_affine(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, ChartLine]:
     record = gather_packets(s.affine, leaf, AFFINE, active)
-    t0, near = _nearest(ty, record[0:3], o, d)
-    x0 = [dot3(record[3 + 3 * r : 6 + 3 * r], near) for r in range(3)]
-    e = [dot3(record[3 + 3 * r : 6 + 3 * r], d) for r in range(3)]
+    rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
+    e = [dot3(row, d) for row in rows]
+    # Float64 keeps rays from afar, and scenes far off, exact: parameters are found in float32,
+    # points at them in float64. First the point nearest the leaf's origin. On a leaf as thin as a
+    # hair that may be thousands of its widths away: then on to the point nearest in the chart, from
+    # where float32 is enough.
+    f64 = ty.Float64
+    d64 = [f64(d[i]) for i in range(3)]
+    near = [f64(o[i]) - f64(record[i]) for i in range(3)]
+    t0 = f64(-dot3([ty.Float(x) for x in near], d) / dot3(d, d))
+    near = [dr.fma(t0, d64[i], near[i]) for i in range(3)]
+    rough = [ty.Float(x) for x in near]
+    ahead = f64(-dot3([dot3(row, rough) for row in rows], e) / dot3(e, e))
+    near = [dr.fma(ahead, d64[i], near[i]) for i in range(3)]
+    t0 = t0 + ahead
+    x0 = [ty.Float(dot3([f64(x) for x in row], near)) for row in rows]
     bits = dr.reinterpret_array(ty.UInt, record[15])
     remainder = dr.square(ty.Float(bits & 0xFFFF)) * BOUND_UNIT
     margin = dr.square(ty.Float(bits >> 16)) * BOUND_UNIT
