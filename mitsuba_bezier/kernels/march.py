@@ -22,7 +22,7 @@ __all__ = ["march"]
 
 #: Steps below this (in leaf sizes) are the last: the error after it is its square times the
 #: leaf's bending, below the rounding of float32.
-LAST_STEP = 2e-4
+LAST_STEP = 1e-4
 #: ... and in projective charts, where a point at distance t lies 1/t of the leaf's size from
 #: the plane at infinity: 1e-12 there is 1e-6 of t at t = 1e6.
 LAST_STEP_PROJECTIVE = 1e-6
