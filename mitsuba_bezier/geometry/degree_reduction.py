@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from . import bernstein
-from .quadric_groups import centre_and_size
+from .quadric_groups import local_nets
 from .triangles import BezierTriangles
 
 __all__ = ["reduce_degree"]
@@ -41,13 +41,9 @@ def reduce_degree(
     residual : array
         How far off the elevations of these are, relative to the patches' sizes.
     """
-    nets = patches.control_points
     up, down = _matrices(patches.degree, degree)
-    shift, size = centre_and_size(patches)
-    local = nets.copy()
-    local[..., :3] = (local[..., :3] - local[..., 3:] * shift[:, None]) / size[:, None, None]
-    local /= np.abs(local).max(axis=(1, 2), keepdims=True)
+    local, _shift, _size = local_nets(patches)
     residual = np.abs(up @ (down @ local) - local).max(axis=(1, 2))
     found = residual <= _TOLERANCE
-    lower = BezierTriangles(down @ nets[found]) if found.any() else None
+    lower = BezierTriangles(down @ patches.control_points[found]) if found.any() else None
     return found, lower, residual[found]

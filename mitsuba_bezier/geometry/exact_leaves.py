@@ -6,7 +6,7 @@ import numpy as np
 
 from . import bernstein
 from .leaves import FORM, FORM_ENTRIES, LEAST, Leaves
-from .quadric_groups import centre_and_size, quadric_leaves
+from .quadric_groups import local_nets, quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["exact_leaves"]
@@ -29,10 +29,7 @@ def exact_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     none = np.zeros(len(nets), dtype=bool)
     if n > 2:
         return none, Leaves.empty(k)
-    shift, size = centre_and_size(patches)
-    local = nets.copy()
-    local[..., :3] = (local[..., :3] - local[..., 3:] * shift[:, None]) / size[:, None, None]
-    local /= np.abs(local).max(axis=(1, 2), keepdims=True)
+    local, shift, size = local_nets(patches)
     rows, forms, found = (_planar_inverse if n == 1 else _stereographic_inverse)(local)
     keep = np.flatnonzero(found)
     if not len(keep):

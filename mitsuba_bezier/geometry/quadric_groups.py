@@ -8,7 +8,7 @@ from . import bernstein
 from .leaves import DEVIATION, FORM_ENTRIES, Leaves
 from .triangles import BezierTriangles
 
-__all__ = ["centre_and_size", "fit_forms", "grouped", "quadric_leaves"]
+__all__ = ["centre_and_size", "fit_forms", "grouped", "local_nets", "quadric_leaves"]
 
 
 def quadric_leaves(
@@ -70,6 +70,18 @@ def centre_and_size(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray]:
     size = (hi - lo).max(axis=1) / 2
     shift = ((lo + hi) / 2).astype(np.float32).astype(np.float64)
     return shift, np.where(size > 0, size, 1.0)
+
+
+def local_nets(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return nets about a point near each patch, in units of its size and of its largest number.
+
+    Also that point and the size, see `centre_and_size`.
+    """
+    shift, size = centre_and_size(patches)
+    local = patches.control_points.copy()
+    local[..., :3] = (local[..., :3] - local[..., 3:] * shift[:, None]) / size[:, None, None]
+    local /= np.abs(local).max(axis=(1, 2), keepdims=True)
+    return local, shift, size
 
 
 #: Most patches in a group: its members are tried one after the other.

@@ -17,7 +17,7 @@ import numpy as np
 
 from . import bernstein
 from .leaves import FORM, FORM_ENTRIES, SECTION, Leaves
-from .quadric_groups import centre_and_size, fit_forms, quadric_leaves
+from .quadric_groups import fit_forms, local_nets, quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["edge_planes", "section_leaves"]
@@ -49,10 +49,8 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     which = np.flatnonzero(sign)
     if not len(which):
         return nothing
-    shift, size = centre_and_size(patches[which])
-    local = nets[which] * sign[which, None, None]
-    local[..., :3] = (local[..., :3] - local[..., 3:] * shift[:, None]) / size[:, None, None]
-    local /= np.abs(local).max(axis=(1, 2), keepdims=True)
+    local, shift, size = local_nets(patches[which])
+    local *= sign[which, None, None]
     keep = _plane_edges(local, n)
     which, shift, size, local = which[keep], shift[keep], size[keep], local[keep]
     if not len(which):
