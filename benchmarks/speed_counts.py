@@ -33,6 +33,8 @@ RECORDS = {
     "planes": "sections",
     "domain": "domains",
 }
+#: Most places in the kernels that gather from one buffer.
+PLACES = 8
 #: Those in float64.
 WIDE = ("far_nets", "groups", "rows")
 
@@ -41,14 +43,17 @@ WIDE = ("far_nets", "groups", "rows")
 def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     """Count the gathers from each buffer while the kernels are recorded.
 
-    Yields a counter a ray for each buffer, and the packets of a record in `packets`.
+    Yields the counters of each buffer, one number a ray, and the packets of a record in `packets`.
+    Each place in the kernels has a counter of its own: Dr.Jit does not let two loops share one.
     """
     lane = dr.opaque(types_of(mi.Float).UInt, 0, width) + dr.arange(types_of(mi.Float).UInt, width)
     dr.eval(lane)
     buffers = {name: getattr(structure, name) for name in RECORDS}
     buffers["nodes"] = structure.nodes.records
     names = {buffer.index: name for name, buffer in buffers.items()}
-    counters: dict[str, Any] = {n: dr.zeros(types_of(mi.Float).UInt, width) for n in RECORDS}
+    zeros = dr.zeros(types_of(mi.Float).UInt, width)
+    counters: dict[str, Any] = {n: [zeros + 0 for _ in range(PLACES)] for n in RECORDS}
+    unused = {n: list(every) for n, every in counters.items()}
     dr.eval(counters)
     packets: dict[str, int] = {}
 
@@ -56,7 +61,7 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
         name = names.get(buffer.index)
         if name is not None:
             packets[name] = -(-count // 8)
-            dr.scatter_inc(counters[name], lane, active)
+            dr.scatter_inc(unused[name].pop(), lane, active)
         return gather_packets(buffer, index, count, active)
 
     modules = [
@@ -82,7 +87,7 @@ def count_reads(structure: Structure, o: np.ndarray, d: np.ndarray) -> dict[str,
         dr.eval(hit, counted["counters"])
     out = {}
     for name, packets in counted["packets"].items():
-        number = float(np.array(counted["counters"][name]).mean())
+        number = sum(float(np.array(c).mean()) for c in counted["counters"][name])
         size = np.dtype(np.float64 if name in WIDE else np.float32).itemsize
         out[name] = {"records": number, "bytes": number * packets * 8 * size}
     return out

@@ -7,9 +7,11 @@ import drjit.llvm as plain
 import numpy as np
 import pytest
 
-from mitsuba_bezier.geometry.tree import NO_LEAF
+from mitsuba_bezier.geometry.tree import NO_LEAF, build_tree
+from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.arrays import types_of
-from mitsuba_bezier.kernels.nodes import begin, build_nodes, next_leaf, prepare
+from mitsuba_bezier.kernels.nodes import build_nodes
+from mitsuba_bezier.kernels.walk import begin, begin_at_root, prepare, take_leaf, walk_to_leaves
 
 
 def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float):
@@ -20,17 +22,18 @@ def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float
     slabs = prepare(ty, o, d)
     t_max = dr.full(ty.Float, t_max, dr.width(o[0]))
     first = ty.UInt(int(nodes.first[tree]))
+    every = dr.full(ty.Bool, True, dr.width(o[0]))
     walk = begin(ty, nodes, slabs, t_max)
     if tree:  # the kernel of copies begins like this
-        one = dr.ones(ty.UInt, dr.width(o[0]))
-        walk.node, walk.at_leaf = one, ty.Bool(bool(nodes.single[tree])) & (one != 0)
+        walk = begin_at_root(ty, nodes, ty.Bool(bool(nodes.single[tree])), every)
     out = [[] for _ in range(dr.width(o[0]))]
     while True:
-        run = walk.node != 0
+        run = walk.goes_on() & every
         dr.eval(walk, run)
         if not dr.any(run):
             return out
-        walk, leaf = next_leaf(nodes, ty, first, walk, slabs, t_max, run)
+        walk = walk_to_leaves(nodes, ty, first, walk, slabs, t_max, run)
+        walk.leaves, leaf = take_leaf(nodes, ty, first, walk.leaves, run)
         for ray, number in enumerate(np.array(leaf)):
             if number != NO_LEAF:
                 out[ray].append(int(number))
@@ -83,9 +86,9 @@ def test_no_box_is_missed(name, float_type):
     for ray in range(len(o)):
         assert len(met[ray]) == len(set(met[ray])), "a leaf came twice"
         assert set(np.flatnonzero(hit[ray])) <= set(met[ray])
-    # boxes are stored in 255ths of their parents', which makes them a little larger
+    # boxes are stored in 31sts of their parents' at most, which makes them larger
     extra = sum(map(len, met)) - hit.sum()
-    assert extra <= 0.15 * hit.sum() + 0.1 * len(o)
+    assert extra <= 0.3 * hit.sum() + 0.2 * len(o)
 
 
 def test_faces_at_infinity():
@@ -118,6 +121,60 @@ def test_nearer_boxes_come_first_and_those_behind_not_at_all():
     assert forward == list(range(9)) and backward == list(range(9))[::-1]
     assert middle == [5, 6, 7, 8]
     assert visits(boxes, o, d, t_max=8.7)[0] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 300])
+def test_deep_trees_have_wider_states(count, monkeypatch):
+    boxes = some_boxes(count, 17, 0.3)
+    o, d = some_rays(200, 18)
+    met = visits(boxes, o, d)
+    monkeypatch.setattr(nodes_module, "_SHALLOW", 0)
+    assert build_nodes(boxes, types_of(plain.Float)).deep
+    assert visits(boxes, o, d) == met
+
+
+def test_ten_levels_of_nodes():
+    # more than 4^9 places: 32 bits would lose the uppermost siblings
+    count = 215_000
+    x = np.linspace(-1, 1, count + 1)
+    boxes = np.zeros((count, 2, 3))
+    boxes[:, 0] = np.stack([x[:-1], x[:-1] ** 2 - 1e-4, np.full(count, -1e-3)], axis=1)
+    boxes[:, 1] = np.stack([x[1:], x[:-1] ** 2 + 1e-4, np.full(count, 1e-3)], axis=1)
+    assert build_nodes(boxes, types_of(plain.Float)).deep
+    o, d = some_rays(40, 19)
+    # lines across the parabola meet it at its first, its last and boxes between
+    o[:, 2] = d[:, 2] = 0.0
+    o[0], d[0] = (-0.99, 1.5, 0.0), (0.0, -1.0, 0.0)
+    o[1], d[1] = (-2.0, 0.5, 0.0), (1.0, 0.0, 0.0)
+    met, hit = visits(boxes, o, d), expected(boxes, o, d)
+    for ray in range(len(o)):
+        assert set(np.flatnonzero(hit[ray])) <= set(met[ray])
+    assert len(hit[1].nonzero()[0]) >= 2 and max(met[1]) - min(met[1]) > 1e5
+
+
+def test_records_hold_boxes_in_float64_within_a_unit():
+    boxes = some_boxes(300, 20)
+    tree = build_tree(boxes)
+    records = nodes_module._records(tree, False)
+    for k in (1, 4, 7, 21):
+        words = records[k]
+        if not words[7] >> 24:
+            continue
+        code = (words[7] >> (8 * np.arange(3))) & 255
+        unit = 2.0 ** (code // 2 - 63.0) * (1 + code % 2 / 2)
+        origin = words[:3].view(np.float32).astype(float)
+        for c in range(4):
+            child = 4 * k + c
+            leaf = bool(words[7] >> (28 + c) & 1)
+            if not (leaf or words[7] >> (24 + c) & 1):
+                continue
+            if leaf and tree.leaf[child] == NO_LEAF:
+                child //= 2  # a leaf at an odd depth
+            low = np.array([words[3 + c] >> b & 31 for b in nodes_module.LOW])
+            high = np.array([words[3 + c] >> b & 31 for b in nodes_module.HIGH])
+            inner, outer = tree.bounds[child], origin + np.array([low, high]) * unit
+            assert (outer[0] <= inner[0]).all() and (inner[1] <= outer[1]).all()
+            assert (np.abs(outer - inner) <= 1.01 * unit).all()
 
 
 def test_each_object_has_a_tree():

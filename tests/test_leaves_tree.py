@@ -206,7 +206,7 @@ def test_bounds_hold_on_dense_samples(regular):
     # 1e-5: of fourth derivatives, step^2 / 12 of them
     excess = np.linalg.norm(hess - quadratic, 2, axis=(-2, -1)) - variation - 1e-5
     assert excess.max() <= 0, f"{(excess > 0).any(axis=1).sum()} of {len(leaves)} leaves"
-    excess = np.linalg.norm(hess, 2, axis=(-2, -1)) / 2 - bending - 1e-5
+    excess = np.linalg.norm(hess - quadratic, 2, axis=(-2, -1)) / 2 - bending - 1e-5
     assert excess.max() <= 0, f"{(excess > 0).any(axis=1).sum()} of {len(leaves)} leaves"
 
 
@@ -488,9 +488,9 @@ def test_children_fill_their_parents(tree):
 
 
 def test_trees_are_shallow(tree):
-    # the numbers of nodes must fit into memory, and their ancestors into 32 bits
+    # the numbers of nodes must fit into memory: kernels have every other level, 8 bytes a number
     boxes, t = tree
-    assert len(t.leaf) <= max(2, 5 * len(boxes))
+    assert len(t.leaf) <= max(2, 10 * len(boxes))
 
 
 def walk(t: Tree, o: np.ndarray, d: np.ndarray) -> tuple[list[int], int]:

@@ -13,10 +13,11 @@ adds). Shown is, for the leaves marked as proved:
 3. On ``F(T)``: ``|h - q| <= remainder`` and ``|Hess h - Hess q| <= variation`` (spectral norm),
    where ``q`` is a quadratic fitted to ``h``.
 4. For ``p``, ``p'`` in ``T`` and ``d = F(p') - F(p)``:
-   ``|h(F(p')) - h(F(p)) - grad h(F(p)) . d| <= bending |d|^2``, and the gradients differ by at
-   most ``2 bending |d|``. For with ``|Hess h| <= H`` the left sides are at most ``H l^2 / 2`` and
-   ``H l``, if ``l`` is the length of the path ``F`` makes of the segment from ``p`` to ``p'``, and
-   ``l <= sup|F'| |p' - p| <= (sup|F'| / mu) |d|``. So ``bending = (sup|F'| / mu)^2 H / 2``.
+   ``|g(F(p')) - g(F(p)) - grad g(F(p)) . d| <= bending |d|^2`` for ``g = h - q``, and the gradients
+   differ by at most ``2 bending |d|``. For with ``|Hess g| <= H`` the left sides are at most
+   ``H l^2 / 2`` and ``H l``, if ``l`` is the length of the path ``F`` makes of the segment from
+   ``p`` to ``p'``, and ``l <= sup|F'| |p' - p| <= (sup|F'| / mu) |d|``. So
+   ``bending = (sup|F'| / mu)^2 variation / 2``.
 
 How. Each quantity is sampled on a lattice that cuts ``T`` into right triangles of leg ``l``, and
 what may happen between the samples is bounded: linear interpolation of ``f`` on such a
@@ -279,7 +280,6 @@ def _bound(
     kxy = (yv * xu + yu * xv) * auv - yv * xv * auu - yu * xu * avv
     kyy = xv * (xv * auu - 2 * xu * auv) + xu * xu * avv
     variation = norm2_symmetric(kxx, kxy, kyy).max(axis=0)
-    hessian = norm2_symmetric(kxx + qxx, kxy + qxy, kyy + qyy).max(axis=0)
     remainder = np.abs(r).max(axis=0)
     slope = np.hypot(gx, gy).max(axis=0)
 
@@ -306,18 +306,19 @@ def _bound(
     k2 = second_of_variation(1 / mu, f, r3, r4, variation, slope, c)
 
     proved_variation, proved_remainder = variation + c * k2, remainder + c * (bend + c * r4)
-    path = (f[1] / mu) ** 2
     proved = positive & np.isfinite(k2) & np.isfinite(proved_remainder)
     worth = ~proved | (proved_variation > _INFLATED * variation + 1e-5)
     worth &= positive & (lateral <= limit)
+    some_variation = np.where(proved, proved_variation, 2 * variation) + 1e-6
+    bending = np.where(proved, (f[1] / mu) ** 2, 2.0) * some_variation / 2
     bounds = LeafBounds(
-        proved=proved & (path * (hessian + c * k2) / 2 < 0.99 * BENDING_LIMIT),
+        proved=proved & (bending < 0.99 * BENDING_LIMIT),
         size=np.full(count, size),
         lateral=np.where(proved, lateral + c * f[3], 2 * lateral),
         # 1e-7: what float32 makes of a chart coordinate near one
         remainder=np.where(proved, proved_remainder, 2 * remainder) + 1e-7,
-        variation=np.where(proved, proved_variation, 2 * variation) + 1e-6,
-        bending=np.where(proved, path * (hessian + c * k2), 2 * hessian) / 2,
+        variation=some_variation,
+        bending=bending,
         height=np.abs(z).max(axis=0),
         quadratics=quadratics,
     )

@@ -18,7 +18,8 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
 
     * ``remainder`` >= |h - quadratic|,
     * ``variation`` >= spectral norm of Hess(h) - Hess(quadratic),
-    * ``bending``: so that ``bending d^2`` is at least the error of h's tangent plane at distance d,
+    * ``bending``: so that ``bending d^2`` is at least the error, at distance d, of h's tangent
+      plane with the quadratic's second derivative,
     * ``margin``: how far the leaf reaches out of the unit triangle in the chart,
 
     proved (`leaf_bounds`) over an enlarged triangle of parameters, one of the `SIZES`, whose image

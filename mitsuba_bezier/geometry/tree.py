@@ -40,7 +40,8 @@ def build_tree(boxes: np.ndarray) -> Tree:
     Each leaf is one node; a single leaf is the root.
     """
     count = len(boxes)
-    depth = int(np.ceil(np.log2(_ROOM * count))) if count > 1 else 0
+    # even, as nodes with four children leave out every other level
+    depth = 2 * int(np.ceil(np.log2(_ROOM * count) / 2)) if count > 1 else 0
     total = 2 << depth
     leaf = np.full(total, NO_LEAF, dtype=np.uint32)
     bounds = np.zeros((total, 2, 3))

@@ -11,27 +11,21 @@ from typing import Any
 import drjit as dr
 
 from .arrays import Types, dot3, gather_packets
-from .structure import AFFINE, BOUND_UNIT, PROJECTIVE, Structure
+from .structure import AFFINE, BOUND_UNIT, CULL_ROUNDING, PROJECTIVE, Structure
 
-__all__ = ["ChartLine", "cull", "first_root", "projective_line"]
+__all__ = ["ChartLine", "affine_line", "cull", "first_root", "projective_line", "root_fraction"]
 
 
 @dataclass
 class ChartLine:
-    """A ray in the chart of a leaf, as far as culling got with it.
+    """How far culling got with a ray in the chart of a leaf.
 
-    The ray is the line ``x0 + tau e``. In an affine chart ``tau`` is the ray parameter from
-    ``t0``; for projective ones see `projective_line`. The surface is certainly not met between
+    The ray is a line ``x0 + tau e`` there. In an affine chart ``tau`` is the ray parameter from
+    `base`; for projective ones see `projective_line`. The surface is certainly not met between
     the entry into the leaf's prism and ``tau``.
     """
 
-    t0: Any  #: Float64
-    x: Any  #: x0, three
-    y: Any
-    z: Any
-    ex: Any  #: e, three
-    ey: Any
-    ez: Any
+    base: Any  #: ray parameter of a point near the leaf
     gamma: Any  #: half the second derivative of the ray's height over the quadratic
     tau: Any
     end: Any  #: where the ray leaves the prism
@@ -40,8 +34,7 @@ class ChartLine:
     @staticmethod
     def zero(ty: Types) -> ChartLine:
         """Return an uninitialised value for a loop's state."""
-        zero = [dr.zeros(ty.Float) for _ in range(10)]
-        return ChartLine(dr.zeros(ty.Float64), *zero)
+        return ChartLine(*(dr.zeros(ty.Float) for _ in range(5)))
 
 
 def cull(
@@ -74,28 +67,40 @@ def cull(
 def _cull_affine(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, ChartLine]:
+    """Cull in float32, with what that may be off as a part of the bounds.
+
+    The march, which few rays get to, goes along a line that is known better: `affine_line`.
+    """
     record = gather_packets(s.affine, leaf, AFFINE, active)
     rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
     e = [dot3(row, d) for row in rows]
-    # Float64 keeps rays from afar, and scenes far off, exact: parameters are found in float32,
-    # points at them in float64. First the point nearest the leaf's origin. On a leaf as thin as a
-    # hair that may be thousands of its widths away: then on to the point nearest in the chart, from
-    # where float32 is enough.
-    f64 = ty.Float64
-    d64 = [f64(d[i]) for i in range(3)]
-    near = [f64(o[i]) - f64(record[i]) for i in range(3)]
-    t0 = f64(-dot3([ty.Float(x) for x in near], d) / dot3(d, d))
-    near = [dr.fma(t0, d64[i], near[i]) for i in range(3)]
-    rough = [ty.Float(x) for x in near]
-    ahead = f64(-dot3([dot3(row, rough) for row in rows], e) / dot3(e, e))
-    near = [dr.fma(ahead, d64[i], near[i]) for i in range(3)]
-    t0 = t0 + ahead
-    x0 = [ty.Float(dot3([f64(x) for x in row], near)) for row in rows]
+    away = [o[i] - ty.Float(record[i]) for i in range(3)]
+    x0 = [dot3(row, away) for row in rows]
+    # to the point nearest in the chart: on a leaf as thin as a hair the point nearest in space may
+    # be thousands of widths away
+    base = -dot3(x0, e) * dr.rcp(dot3(e, e))
+    x0 = [dr.fma(base, e[i], x0[i]) for i in range(3)]
     bits = dr.reinterpret_array(ty.UInt, record[15])
-    remainder = dr.square(ty.Float(bits & 0xFFFF)) * BOUND_UNIT
-    margin = dr.square(ty.Float(bits >> 16)) * BOUND_UNIT
-    lo, hi = ty.Float(-t0), ty.Float(ty.Float64(t_max) - t0)
-    return _cull(t0, x0, e, record[12:15], remainder, margin, lo, hi)
+    remainder = dr.square(ty.Float(bits & 0xFFF)) * BOUND_UNIT
+    margin = dr.square(ty.Float((bits >> 12) & 0xFFF)) * BOUND_UNIT
+    largest = ty.Float(dr.reinterpret_array(ty.Float32, (bits >> 1) & 0x7F800000))
+    error = largest * CULL_ROUNDING * (dr.abs(away[0]) + dr.abs(away[1]) + dr.abs(away[2]))
+    return _cull(base, x0, e, record[12:15], remainder, margin, error, -base, t_max - base)
+
+
+def affine_line(
+    ty: Types, record: list[Any], base: Any, o: Any, d: Any
+) -> tuple[list[Any], list[Any]]:
+    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero.
+
+    Float64 keeps rays from afar, and scenes far off, exact: the parameter `base` is some number of
+    float32, its point is found in float64.
+    """
+    f64 = ty.Float64
+    rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
+    near = [dr.fma(f64(base), f64(d[i]), f64(o[i]) - f64(record[i])) for i in range(3)]
+    x0 = [ty.Float(dot3([f64(x) for x in row], near)) for row in rows]
+    return x0, [dot3(row, d) for row in rows]
 
 
 def projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, ...]:
@@ -142,37 +147,41 @@ def _cull_projective(
     record = gather_packets(s.projective, leaf, PROJECTIVE, active)
     x0, e, _parameter, _both = projective_line(ty, record, o, d)
     x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
-    infinity = dr.full(ty.Float, dr.inf)
-    t0 = dr.zeros(ty.Float64)
-    return _cull(t0, x0, e, record[20:23], record[3], record[23], -infinity, infinity)
+    infinity, zero = dr.full(ty.Float, dr.inf), dr.zeros(ty.Float)
+    return _cull(zero, x0, e, record[20:23], record[3], record[23], zero, -infinity, infinity)
 
 
 def _cull(
-    t0: Any,
+    base: Any,
     x0: list[Any],
     e: list[Any],
     quadratic: list[Any],
     remainder: Any,
     margin: Any,
+    error: Any,
     lo: Any,
     hi: Any,
 ) -> tuple[Any, ChartLine]:
+    """Cull on the line ``x0 + tau e``, whose coordinates may be off by `error`."""
     a, b, c = quadratic
-    # |quadratic| over the unit triangle enlarged by the margin, a little more to be safe
-    height = 0.26 * (dr.abs(a) + dr.abs(b) + dr.abs(c)) * dr.square(1 + 3 * margin) + remainder
+    bends = dr.abs(a) + dr.abs(b) + dr.abs(c)
+    margin = margin + error
+    wide = dr.fma(margin, 3.0, 1.0)
+    # the quadratic's gradient is at most 2 sqrt(2) bends * wide over the unit triangle enlarged by
+    # the margin, and itself a fourth of bends wide^2; a little more to be safe
+    remainder = dr.fma(error, dr.fma(3.0 * bends, wide, 1.0), remainder)
+    height = dr.fma(0.26 * bends, dr.square(wide), remainder)
     w0, ew = 1.0 - x0[0] - x0[1], -e[0] - e[1]
-    for f0, f1, bound in (
-        (x0[0], e[0], margin),
-        (x0[1], e[1], margin),
-        (w0, ew, margin),
-        (x0[2], e[2], height),
-        (-x0[2], -e[2], height),
-    ):
-        # f0 + tau f1 >= -bound, on the line: a half-line; all or nothing where f1 = 0
-        cut = (-bound - f0) / f1
+    for f0, f1 in ((x0[0], e[0]), (x0[1], e[1]), (w0, ew)):
+        # f0 + tau f1 >= -margin, on the line: a half-line. Where f1 = 0 it is all or nothing, and
+        # taken for all
+        cut = (-margin - f0) * dr.rcp(f1)
         lo = dr.select((f1 > 0.0) & (cut > lo), cut, lo)
         hi = dr.select((f1 < 0.0) & (cut < hi), cut, hi)
-        hi = dr.select((f1 == 0.0) & (f0 < -bound), -dr.inf, hi)
+    rising = dr.rcp(e[2])
+    low, high = (-height - x0[2]) * rising, (height - x0[2]) * rising
+    near, far = dr.select(rising > 0.0, low, high), dr.select(rising > 0.0, high, low)
+    lo, hi = dr.select(near > lo, near, lo), dr.select(far < hi, far, hi)
     alpha = x0[2] - dr.fma(a * x0[0], x0[1], dr.fma(b * x0[0], w0, c * x0[1] * w0))
     mixed = dr.fma(
         a,
@@ -189,9 +198,7 @@ def _cull(
     tau = dr.select(clear, lo + step, lo)
     candidate = (lo <= hi) & (~clear | (exists & (tau <= hi)))
     sign = dr.select(clear, sign, 0.0)
-    x, y, z = x0
-    ex, ey, ez = e
-    return candidate, ChartLine(t0, x, y, z, ex, ey, ez, gamma, tau, hi, sign)
+    return candidate, ChartLine(base, gamma, tau, hi, sign)
 
 
 def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:
@@ -200,9 +207,14 @@ def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:
     For ``value >= 0`` the first zero ahead; a zero at hand that the slope leads away from does not
     count. For a small negative value the zero behind.
     """
+    numerator, denominator, exists = root_fraction(value, slope, half_second)
+    return numerator / denominator, exists
+
+
+def root_fraction(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any, Any]:
+    """Return the step of `first_root` as numerator and denominator, and if any."""
     disc = dr.fma(slope, slope, -4.0 * half_second * value)
     root = dr.sqrt(dr.maximum(disc, 0.0)) + dr.abs(slope)
     away = slope > 0.0
     denominator = dr.select(away, -2.0 * half_second, dr.maximum(root, 1e-30))
-    step = dr.select(away, root, 2.0 * value) / denominator
-    return step, (disc >= 0.0) & (denominator > 0.0)
+    return dr.select(away, root, 2.0 * value), denominator, (disc >= 0.0) & (denominator > 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -10,9 +10,10 @@ import numpy as np
 
 from ..geometry.tree import NO_LEAF
 from .arrays import dot3, gather_packets, types_of, upload
-from .nodes import Nodes, Walk, begin, build_nodes, next_leaf, prepare
+from .nodes import Nodes, build_nodes
 from .structure import Structure
 from .traverse import Hit, finish, is_ray, search
+from .walk import begin, begin_at_root, prepare, take_leaf, walk_to_leaves
 
 __all__ = ["Copies", "build_copies", "intersect_copies"]
 
@@ -95,7 +96,9 @@ def intersect_copies(
     inv_length = dr.sqrt(inv_length2)
 
     def body(run, walk, t, leaf, u, v, copy):
-        walk, index = next_leaf(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
+        walk = walk_to_leaves(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
+        left, index = take_leaf(c.nodes, ty, ty.UInt(0), walk.leaves, run)
+        walk = replace(walk, leaves=left)
         found = run & (index != NO_LEAF)
         m = gather_packets(c.records, index, COPY, found)
         away = [f64(m[i]) - f64(o[i]) for i in range(3)]
@@ -109,7 +112,7 @@ def intersect_copies(
         first, single = (dr.reinterpret_array(ty.UInt, m[k]) for k in (16, 17))
         limit = t - start
         found = found & (limit > 0.0)
-        root = Walk(ty.UInt(1), single != 0, ty.UInt(0), ty.UInt(0))
+        root = begin_at_root(ty, s.nodes, single != 0, found)
         t_new, leaf_new, u_new, v_new = search(
             s, ty, local_o, local_d, local_slabs, limit, first, root, found, any_hit
         )
@@ -117,14 +120,14 @@ def intersect_copies(
         t = dr.select(accept, ty.Float(f64(start) + f64(t_new)), t)
         leaf, copy = dr.select(accept, leaf_new, leaf), dr.select(accept, index, copy)
         u, v = dr.select(accept, u_new, u), dr.select(accept, v_new, v)
-        run = run & (walk.node != 0)
+        run = run & walk.goes_on()
         if any_hit:
             run = run & (leaf == NO_LEAF)
         return run, walk, t, leaf, u, v, copy
 
     zero = dr.zeros(ty.Float)
     none = ty.UInt(NO_LEAF)
-    active = active & (start_of_walk.node != 0)
+    active = active & start_of_walk.goes_on()
     _run, _walk, t, leaf, u, v, copy = dr.while_loop(
         (active, start_of_walk, t_max, none, zero, zero, dr.zeros(ty.UInt)),
         cond=lambda *st: st[0],

@@ -12,10 +12,10 @@ import drjit as dr
 from ..geometry import bernstein
 from ..geometry.leaves import BENDING_LIMIT, SIZES
 from .arrays import Types, gather_packets, types_of
-from .chart import ChartLine, first_root, projective_line
+from .chart import ChartLine, affine_line, projective_line, root_fraction
 from .net import horner
 from .quadric import edge_tolerance
-from .structure import HEAD, PROJECTIVE, Structure
+from .structure import AFFINE, HEAD, PROJECTIVE, Structure
 from .trim import leaf_test
 
 __all__ = ["march"]
@@ -45,13 +45,13 @@ def march(
         Leaf barycentrics.
     """
     if not s.has_projective:
-        return _march_affine(s, ty, leaf, line, t_max, active)
+        return _march_affine(s, ty, leaf, line, o, d, t_max, active)
     if not s.has_affine:
         return _march_projective(s, ty, leaf - s.first_projective, line, o, d, t_max, active)
     return dr.if_stmt(
         args=(leaf, line, o, d, t_max, active),
         cond=leaf < s.first_projective,
-        true_fn=lambda leaf, line, o, d, t, a: _march_affine(s, ty, leaf, line, t, a),
+        true_fn=lambda leaf, line, o, d, t, a: _march_affine(s, ty, leaf, line, o, d, t, a),
         false_fn=lambda leaf, line, o, d, t, a: _march_projective(
             s, ty, leaf - s.first_projective, line, o, d, t, a
         ),
@@ -60,17 +60,26 @@ def march(
 
 
 def _march_affine(
-    s: Structure, ty: Types, leaf: Any, line: ChartLine, t_max: Any, active: Any
+    s: Structure, ty: Types, leaf: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, Any, Any, Any]:
-    count = HEAD + bernstein.size(s.degree) * s.components
-    data = gather_packets(s.nets, leaf, count, active)
-    x0, e = [line.x, line.y, line.z], [line.ex, line.ey, line.ez]
-
-    def parameter(tau: Any) -> Any:
-        return ty.Float(line.t0 + ty.Float64(tau))
-
-    kept = leaf_test(s, leaf)
-    return _march(s.degree, data, x0, e, line, parameter, False, LAST_STEP, kept, t_max, active)
+    record = gather_packets(s.affine, leaf, AFFINE, active)
+    data = gather_packets(s.nets, leaf, HEAD + bernstein.size(s.degree) * s.components, active)
+    x0, e = affine_line(ty, record, line.base, o, d)
+    base = ty.Float64(line.base)
+    return _march(
+        s.degree,
+        data,
+        record[12:15],
+        x0,
+        e,
+        line,
+        lambda tau: ty.Float(base + ty.Float64(tau)),
+        False,
+        LAST_STEP,
+        leaf_test(s, leaf),
+        t_max,
+        active,
+    )
 
 
 def _march_projective(
@@ -83,6 +92,7 @@ def _march_projective(
     hit, t, u, v = _march(
         s.degree,
         data,
+        [ty.Float64(x) for x in record[20:23]],
         x0,
         e,
         line,
@@ -99,6 +109,7 @@ def _march_projective(
 def _march(
     n: int,
     data: list[Any],
+    quadratic: list[Any],
     x0: list[Any],
     e: list[Any],
     line: ChartLine,
@@ -122,6 +133,8 @@ def _march(
         Degree.
     data : list
         Record of the net: variation, bending, the parameter quadratics, the coefficients.
+    quadratic : list
+        The leaf's, three numbers.
     line : ChartLine
         Where culling came to.
     parameter : function
@@ -140,6 +153,7 @@ def _march(
     # the bounds hold for parameters with barycentrics down to `low`, up to `high`
     low = -SIZES[0] * dr.exp2(size * 0.5)
     high = 1.0 - 2.0 * low
+    a, b, c = (ty.Float(x) for x in quadratic)
     x0, y0, z0 = x0
     ex, ey, ez = e
     gamma, end = ty.Float(line.gamma), ty.Float(line.end)
@@ -147,6 +161,10 @@ def _march(
     wobble = 0.5 * variation * lateral2  # half the uncertainty of the second derivative
     speed2 = dr.fma(ez, ez, lateral2)
     speed = dr.sqrt(speed2)
+    tilt = 2.0 * bending * dr.sqrt(lateral2)
+    # the quadratic's mixed second derivative along the ray and along the axes
+    mixed_x = dr.fma(a, ey, -dr.fma(b, ex + ex + ey, c * ey))
+    mixed_y = dr.fma(a, ex, -dr.fma(b, ex, c * (ex + ey + ey)))
 
     def held(u: Any, v: Any) -> tuple[Any, Any]:
         """Return the parameters themselves, or others where the bounds hold."""
@@ -163,7 +181,7 @@ def _march(
         v = y + dr.fma(data[5], xy, dr.fma(data[6], xw, data[7] * yw))
         return u, v
 
-    def body(run, step, tau, u, v, sign, hit, best, best_u, best_v):
+    def advance(go, step, tau, u, v, sign, root, slope, normal2):
         p, pu, pv = horner(net, n, u, v)
         # the identity was split off x, y and the weight, which is one where it is not stored
         x, y, z = u + p[0], v + p[1], p[2]
@@ -178,34 +196,56 @@ def _march(
         rx, ry = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y
         du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet
         eu, ev = dr.fma(yv, ex, -xv * ey) * idet, dr.fma(xu, ey, -yu * ex) * idet
-        value = dr.fma(tau, ez, z0) - z - dr.fma(zu, du, zv * dv)
-        slope = ez - dr.fma(zu, eu, zv * ev)
+        # the surface on the ray's vertical: tangent plane and the quadratic's second derivative
+        bent = dr.fma(rx, dr.fma(a, ry, -b * (rx + ry)), -c * ry * (rx + ry))
+        value = dr.fma(tau, ez, z0) - z - dr.fma(zu, du, dr.fma(zv, dv, bent))
+        slope = ez - dr.fma(zu, eu, zv * ev) - dr.fma(rx, mixed_x, ry * mixed_y)
         off2 = dr.fma(rx, rx, ry * ry)
-        slack = bending * off2  # what linear extrapolation to the ray's vertical may miss
+        slack = bending * off2  # what that may miss
         # The side is known from the entry on, or as soon as the value says it for certain;
         # until then the march stays where it is and only (u, v) improve.
         certain = (sign != 0.0) | (dr.abs(value) > slack) | (off2 < 1e-3 * last_step * last_step)
         sign = dr.select(certain & (sign == 0.0), dr.copysign(ty.Float(1), value), sign)
-        # the slope is that at the foot (x, y); the ray is sqrt(off2) away from there
-        tilt = 2.0 * bending * dr.sqrt(off2 * lateral2)
-        signed, signed_slope = sign * value, sign * slope - tilt
+        signed = sign * value
+        signed_slope = dr.fma(sign, slope, -tilt * (dr.abs(rx) + dr.abs(ry)))
         sure = dr.select(signed > 0.0, dr.maximum(signed - slack, 0.0), signed)
-        delta, exists = first_root(sure, signed_slope, sign * gamma - wobble)
-        delta, exists = dr.select(certain, delta, 0.0), exists | ~certain
-        newton = -value / slope
-        close = (off2 < last_step * last_step) & (dr.abs(delta) * speed < last_step)
-        converged = certain & exists & close & (dr.abs(newton) * speed < last_step)
-        # on the last step the first-order term decides, without the slack
-        delta = dr.select(converged, newton, delta)
+        num, den, exists = root_fraction(sure, signed_slope, dr.fma(sign, gamma, -wobble))
+        num, den = dr.select(certain, num, 0.0), dr.select(certain, den, 1.0)
+        exists = exists | ~certain
+        root = (
+            certain
+            & exists
+            & (off2 < last_step * last_step)
+            & (dr.abs(num) * speed < last_step * den)
+            & (dr.abs(value) * speed < last_step * dr.abs(slope))
+        )
+        # the last step is Halley's, without the slack; Newton's where the two differ much
+        square = slope * slope
+        bend = dr.clip(gamma * value, -0.5 * square, 0.5 * square)
+        delta = dr.select(root, -value * slope, num) / dr.select(root, square - bend, den)
         tau = tau + delta
         u, v = u + dr.fma(eu, delta, du), v + dr.fma(ev, delta, dv)
+        held_u, held_v = held(u, v)
+        u, v = dr.select(root, u, held_u), dr.select(root, v, held_v)
+        step = step + 1
+        go = go & ~root & exists & (tau <= end) & (step < MAX_STEPS)
+        return go, step, tau, u, v, sign, root, slope, dr.fma(zu, zu, dr.fma(zv, zv, 1.0))
 
+    def body(run, step, tau, u, v, sign, hit, best, best_u, best_v):
+        one = dr.full(ty.Float, 1.0)
+        _go, step, tau, u, v, sign, root, slope, normal2 = dr.while_loop(
+            (run, step, tau, u, v, sign, ty.Bool(False), one, one),
+            cond=lambda *st: st[0],
+            body=advance,
+            labels=("go", "step", "tau", "u", "v", "sign", "root", "slope", "normal2"),
+            label="bezier leaf steps",
+        )
         # a root: is it ours?
-        normal2 = 1.0 + dr.square(zu) + dr.square(zv)
-        tolerance = edge_tolerance(dr.abs(slope) * dr.rsqrt(speed2 * normal2))
+        slope = dr.abs(slope)
+        tolerance = edge_tolerance(slope * dr.rsqrt(speed2 * normal2))
         inside = dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance
         t = parameter(tau)
-        accept = run & converged & inside & (t > 0.0) & (t < best)
+        accept = run & root & inside & (t > 0.0) & (t < best)
         if kept is not None:
             accept = accept & kept(u, v, accept)
         hit = hit | accept
@@ -213,15 +253,12 @@ def _march(
         best_u, best_v = dr.select(accept, u, best_u), dr.select(accept, v, best_v)
 
         # go on from the other side of the surface, if the bound lets it come back
-        back = sign * gamma + wobble
-        again = converged & (~accept | all_roots) & (back > 0.0)
-        tau = dr.select(again, tau + dr.abs(slope) / back, tau)
-        far_u, far_v = start(tau)
-        sign = dr.select(again, -sign, sign)
-        u, v = held(dr.select(again, far_u, u), dr.select(again, far_v, v))
-        step = step + 1
-        goes = dr.select(converged, again, exists) & (tau <= end) & (step < MAX_STEPS)
-        return run & goes, step, tau, u, v, sign, hit, best, best_u, best_v
+        back = dr.fma(sign, gamma, wobble)
+        run = run & root & (~accept | all_roots) & (back > 0.0)
+        tau = tau + slope / back
+        u, v = held(*start(tau))
+        run = run & (tau <= end) & (step < MAX_STEPS)
+        return run, step, tau, u, v, -sign, hit, best, best_u, best_v
 
     tau = ty.Float(line.tau)
     u, v = held(*start(tau))

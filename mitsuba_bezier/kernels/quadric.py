@@ -54,7 +54,9 @@ def group_hit(
     a = g[:10]
     dd = [f64(d[i]) for i in range(3)]
     od = [f64(o[i]) - g[10 + i] for i in range(3)]
-    t0 = -dot3(od, dd) / dot3(dd, dd)
+    # any point near the group will do, the exact nearest is not needed
+    length2 = dot3(d, d)
+    t0 = f64(-dot3([o[i] - ty.Float(g[10 + i]) for i in range(3)], d) * dr.rcp(length2))
     p = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
     ax = dr.fma(a[0], p[0], dr.fma(a[3], p[1], dr.fma(a[4], p[2], a[6])))
     ay = dr.fma(a[3], p[0], dr.fma(a[1], p[1], dr.fma(a[5], p[2], a[7])))
@@ -67,22 +69,32 @@ def group_hit(
     qz = dr.fma(a[4], dd[0], dr.fma(a[5], dd[1], a[2] * dd[2]))
     q = dr.fma(qx, dd[0], dr.fma(qy, dd[1], qz * dd[2]))
     disc = dr.fma(b, b, -q * c)
-    root = dr.sqrt(dr.maximum(disc, 0.0))
-    h = -(b + dr.copysign(root, b))
-    s1, s2 = c / h, h / q
+    # whether there are roots is decided in float64; they are found in float32 and then made exact
+    # by one step of Newton's method, whose slopes are +-2 root
+    qf, bf, cf = ty.Float(q), ty.Float(b), ty.Float(c)
+    root = dr.sqrt(dr.maximum(ty.Float(disc), 0.0))
+    h = -(bf + dr.copysign(root, bf))
+    s1, s2 = cf / h, h / qf
     # q = 0 to rounding: one root is at infinity (a plane, a ray along an asymptote)
-    linear = dr.abs(q * s1) <= 1e-15 * dr.abs(h)
-    near = dr.select(linear, s1, dr.minimum(s1, s2))
-    far = dr.select(linear, dr.inf, dr.maximum(s1, s2))
+    linear = dr.abs(qf * s1) <= 1e-15 * dr.abs(h)
+    half = 0.5 / dr.copysign(dr.maximum(root, 1e-7 * dr.abs(h)), bf)
+    b2 = b + b
+    exact1, exact2 = f64(s1), f64(s2)
+    exact1 = exact1 - f64(ty.Float(dr.fma(dr.fma(q, exact1, b2), exact1, c)) * half)
+    exact2 = exact2 + f64(ty.Float(dr.fma(dr.fma(q, exact2, b2), exact2, c)) * half)
+    swap = ~linear & (exact2 < exact1)
+    near = dr.select(swap, exact2, exact1)
+    far = dr.select(swap, exact1, dr.select(linear, dr.inf, exact2))
     t1, t2 = ty.Float(t0 + near), ty.Float(t0 + far)
     valid = active & (disc >= 0.0)
     want1 = valid & (t1 > 0.0) & (t1 < t_max)
     want2 = valid & (t2 > 0.0) & (t2 < t_max)
-    gradient = dr.sqrt(ty.Float(dot3([ax, ay, az], [ax, ay, az])))
-    length = dr.sqrt(dot3(d, d))
-    tolerance = edge_tolerance(ty.Float(root) * dr.rcp(gradient * length), ty.Float(g[15]))
-    p1 = [ty.Float(dr.fma(near, dd[i], p[i])) for i in range(3)]
-    p2 = [ty.Float(dr.fma(far, dd[i], p[i])) for i in range(3)]
+    gradient2 = ty.Float(dot3([ax, ay, az], [ax, ay, az]))
+    tolerance = edge_tolerance(root * dr.rsqrt(gradient2 * length2), ty.Float(g[15]))
+    middle = [ty.Float(p[i]) for i in range(3)]
+    near32, far32 = ty.Float(near), ty.Float(far)
+    p1 = [dr.fma(near32, d[i], middle[i]) for i in range(3)]
+    p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
 
     first, count = ty.UInt(g[13]), ty.UInt(g[14])
     k, following = first, first + 1
@@ -158,5 +170,6 @@ def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any)
     m = gather_packets(s.rows, dr.select(active, leaf - s.first_group, 0), 12, active)
     bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
     total = bary[0] + bary[1] + bary[2]
+    total = ty.Float(total)
     inv = dr.rcp(dr.select(total == 0.0, 1.0, total))
-    return ty.Float(bary[0] * inv), ty.Float(bary[1] * inv)
+    return ty.Float(bary[0]) * inv, ty.Float(bary[1]) * inv

@@ -1,0 +1,263 @@
+"""The walk of a ray through a tree, without a stack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import drjit as dr
+
+from ..geometry.tree import NO_LEAF
+from .arrays import Types, gather_packets
+from .nodes import HIGH, INNER, LOW, NODE, STEPS, Nodes
+
+__all__ = ["Slabs", "Walk", "begin", "begin_at_root", "prepare", "take_leaf", "walk_to_leaves"]
+
+#: The largest reciprocal of a direction's component.
+_LARGEST = 1e20
+
+#: Slabs are widened by four roundings a face: of the difference, the product and, two, of the
+#: reciprocal (Ize, "Robust BVH Ray Traversal", 2013, who has three). The origin's coordinates
+#: are moved apart by as much, as they are multiplied before the difference.
+_ROUNDING = 4.0 * 6e-8
+_GROW = 1.0 + 2.0 * _ROUNDING
+
+#: The five bits of a face become the first of a float's mantissa.
+_MANTISSA = 18
+_FACE = STEPS << _MANTISSA
+
+
+class Slabs(NamedTuple):
+    """What a slab test needs of a ray: ``plane * rcp + near`` is the entry, and the exit alike."""
+
+    rcp: list[Any]  #: reciprocals of the direction, finite
+    rcp_far: list[Any]  #: the same, a little more
+    near: list[Any]  #: ``-o rcp``, a little less
+    far: list[Any]  #: ``-o rcp_far``, a little more
+    shifts: list[tuple[Any, Any]]  #: that take the near and the far face of a word to `_MANTISSA`
+    backward: Any  #: UInt: bit `a` tells that the direction's component `a` is negative
+
+
+@dataclass
+class Walk:
+    """Where a ray is in a tree, and which branches are left.
+
+    Children have a place from 0 to 3 in the order in which the ray meets them, or should: the pairs
+    of children are in order along an axis, and so are the two of each pair.
+    """
+
+    node: Any  #: UInt, zero at the end
+    #: UInt, or UInt64 in deep trees: for each level from the node's on, four bits for the places of
+    #: siblings that are still to be visited
+    pending: Any
+    turns: Any  #: the same, three bits for each level: the `_turns` of the parent
+    leaves: Any  #: UInt: a node's number, its turns and four bits for places of leaves; or zero
+
+    def goes_on(self) -> Any:
+        """Tell whether there may be more leaves."""
+        return (self.node != 0) | (self.leaves != 0)
+
+
+def prepare(ty: Types, o: list[Any], d: list[Any]) -> Slabs:
+    """Return what slab tests need of rays."""
+    # finite reciprocals: zero times infinity would turn a slab into NaN
+    tiny = ty.Float(1.0 / _LARGEST)
+    rcp = [dr.rcp(dr.select(dr.abs(c) > tiny, c, dr.select(c < 0.0, -tiny, tiny))) for c in d]
+    rcp_far = [r * _GROW for r in rcp]
+    near = [-dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, o[a] * rcp[a]) for a in range(3)]
+    far = [dr.fma(dr.abs(o[a] * rcp_far[a]), _ROUNDING, -o[a] * rcp_far[a]) for a in range(3)]
+    shifts, backward = [], ty.UInt(0)
+    for a in range(3):
+        turned = rcp[a] < 0.0  # then the high face is the near one
+        backward = backward | dr.select(turned, ty.UInt(1 << a), 0)
+        low, high = (ty.UInt(abs(first - _MANTISSA)) for first in (LOW[a], HIGH[a]))
+        shifts.append((dr.select(turned, high, low), dr.select(turned, low, high)))
+    return Slabs(rcp, rcp_far, near, far, shifts, backward)
+
+
+def begin(ty: Types, nodes: Nodes, slabs: Slabs, t_max: Any) -> Walk:
+    """Return the start of a walk through the first tree, at the end for rays that pass it by."""
+    enter, leave = dr.zeros(ty.Float), t_max
+    for a in range(3):
+        low, high = nodes.bounds[a], nodes.bounds[3 + a]
+        turned = slabs.rcp[a] < 0.0
+        near = dr.fma(dr.select(turned, high, low), slabs.rcp[a], slabs.near[a])
+        far = dr.fma(dr.select(turned, low, high), slabs.rcp_far[a], slabs.far[a])
+        # one instruction each; those of dr.maximum and dr.minimum look out for NaN
+        enter = dr.select(near > enter, near, enter)
+        leave = dr.select(far < leave, far, leave)
+    return begin_at_root(ty, nodes, nodes.root_is_leaf, enter <= leave)
+
+
+def begin_at_root(ty: Types, nodes: Nodes, is_leaf: Any, active: Any) -> Walk:
+    """Return the start of a walk at the root of a tree, which may be a leaf."""
+    state = dr.uint64_array_t(ty.UInt) if nodes.deep else ty.UInt
+    none, one = dr.zeros(ty.UInt), ty.UInt(1)
+    return Walk(
+        node=dr.select(active & ~is_leaf, one, none),
+        pending=dr.zeros(state),
+        turns=dr.zeros(state),
+        leaves=dr.select(active & is_leaf, one << 1, none),  # child 1 of node 0
+    )
+
+
+def walk_to_leaves(
+    nodes: Nodes, ty: Types, first: Any, walk: Walk, slabs: Slabs, t_max: Any, run: Any
+) -> Walk:
+    """Walk to the next node with leaves whose boxes are hit, and past it, or to the end.
+
+    Nothing is done where the walk has leaves already. The tree begins at `first`.
+    """
+
+    def waits(walk):
+        return (walk.leaves == 0) & (walk.node != 0)
+
+    def body(go, walk):
+        record = gather_packets(nodes.records, first + walk.node, NODE, go)
+        walk = _step(ty, record, nodes.unbounded, walk, slabs, t_max)
+        return go & waits(walk), walk
+
+    _go, walk = dr.while_loop(
+        (run & waits(walk), walk),
+        cond=lambda *st: st[0],
+        body=body,
+        labels=("go", "walk"),
+        label="bezier boxes",
+    )
+    return walk
+
+
+def take_leaf(nodes: Nodes, ty: Types, first: Any, leaves: Any, run: Any) -> tuple[Any, Any]:
+    """Take the leaf that should be met first out of a walk's `leaves`.
+
+    Returns
+    -------
+    leaves : UInt
+        The others.
+    leaf : UInt
+        Its number, `NO_LEAF` where there was none.
+    """
+    found = run & (leaves != 0)
+    child = _child(dr.tzcnt(leaves), leaves >> 4)
+    leaf = dr.gather(ty.UInt, nodes.slots, 4 * first + (((leaves >> 7) << 2) | child), found)
+    others = leaves & (leaves - 1)
+    others = dr.select((others & 15) != 0, others, 0)
+    return dr.select(found, others, leaves), dr.select(found, leaf, NO_LEAF)
+
+
+def _step(
+    ty: Types, record: list[Any], unbounded: bool, walk: Walk, slabs: Slabs, t_max: Any
+) -> Walk:
+    """Test the four children of a node, which has no leaves in `walk`; go down, or up.
+
+    Each step has to wait for the step before. So all that does not depend on the slab tests comes
+    first, to be done while these are.
+    """
+    none = dr.zeros(ty.UInt)
+    words = [dr.reinterpret_array(ty.UInt, word) for word in record[3:]]
+    units = words.pop()
+    node, pending, turns_back = _up(ty, walk)
+    later = [((slabs.backward >> (word >> 30)) & 1) != 0 for word in words[:3]]
+    turns, children, places, kinds = _order(ty, later, units >> INNER)
+
+    enter, leave = [dr.zeros(ty.Float)] * 4, [t_max] * 4
+    for a in range(3):
+        # eight bits from 22 on: half of the exponent, less 64, and the first of the mantissa
+        bits = ((units << (22 - 8 * a)) & 0x3FC00000) + 0x20000000
+        unit = ty.Float(dr.reinterpret_array(ty.Float32, bits))
+        origin, shifts = ty.Float(record[a]), slabs.shifts[a]
+        # faces come as 1 + b / 32
+        in_unit, out_unit = unit * (slabs.rcp[a] * 32.0), unit * (slabs.rcp_far[a] * 32.0)
+        near = dr.fma(origin, slabs.rcp[a], slabs.near[a]) - in_unit
+        far = dr.fma(origin, slabs.rcp_far[a], slabs.far[a]) - out_unit
+        for c in range(4):
+            low, high = (words[c] >> x if LOW[a] > _MANTISSA else words[c] << x for x in shifts)
+            t_near = dr.fma(_face(ty, low), in_unit, near)
+            t_far = dr.fma(_face(ty, high), out_unit, far)
+            cuts_near, cuts_far = t_near > enter[c], t_far < leave[c]
+            if unbounded:
+                cuts_near &= _is_finite(low)
+                cuts_far &= _is_finite(high)
+            enter[c] = dr.select(cuts_near, t_near, enter[c])
+            leave[c] = dr.select(cuts_far, t_far, leave[c])
+    hit = [dr.select(enter[c] <= leave[c], places[c], none) for c in range(4)]
+    hits = (hit[0] | hit[1]) | (hit[2] | hit[3])
+    hits = hits & kinds
+    inner, leaves = hits & 15, hits >> 4
+    go_down = inner != 0
+    child = (children >> (dr.tzcnt(inner) << 1)) & 3
+    state = type(walk.pending)
+    return Walk(
+        dr.select(go_down, (walk.node << 2) | child, node),
+        dr.select(go_down, (walk.pending << 4) | state(inner & (inner - 1)), pending),
+        dr.select(go_down, (walk.turns << 3) | state(turns), turns_back),
+        dr.select(leaves != 0, (walk.node << 7) | (turns << 4) | leaves, none),
+    )
+
+
+def _up(ty: Types, walk: Walk) -> tuple[Any, Any, Any]:
+    """Return node, pending and turns of the branch to visit next, node zero if none is left."""
+    state = type(walk.pending)
+    place = ty.UInt(dr.tzcnt(walk.pending))
+    turns = walk.turns >> state((place >> 2) * 3)
+    node = ((walk.node >> ((place >> 1) & 30)) & 0xFFFFFFFC) | _child(place, ty.UInt(turns))
+    # where nothing is left the place is the number of bits, and no shift
+    others = (walk.pending & (walk.pending - 1)) >> state(
+        place & (60 if state is not ty.UInt else 28)
+    )
+    return dr.select(walk.pending != 0, node, 0), others, turns
+
+
+def _order(ty: Types, later: list[Any], kinds: Any) -> tuple[Any, Any, list[Any], Any]:
+    """Return what the order of the children along a ray is.
+
+    Parameters
+    ----------
+    later : three Bool
+        Whether the second pair of children comes first, the second of the first pair, and the
+        second of the second.
+    kinds : UInt
+        Which children are nodes, and which are leaves, four bits each.
+
+    Returns
+    -------
+    turns : UInt
+        `later` as bits.
+    children : UInt
+        The child at each place, two bits each.
+    places : four UInt
+        For each child the bits, in the two nibbles, of its place.
+    kinds : UInt
+        For each place.
+    """
+
+    def either(k: int, yes: int, no: int) -> Any:
+        return dr.select(later[k], ty.UInt(yes), no)
+
+    turns = either(0, 1, 0) | either(1, 2, 0) | either(2, 4, 0)
+    first, second = either(0, 2, 0), either(0, 0, 2)  # the places of the pairs
+    children = (either(1, 0b0001, 0b0100) << (2 * first)) | (
+        either(2, 0b1011, 0b1110) << (2 * second)
+    )
+    places = [either(1, 0x22, 0x11) << first, either(1, 0x11, 0x22) << first]
+    places += [either(2, 0x22, 0x11) << second, either(2, 0x11, 0x22) << second]
+    swapped = ((kinds & 0x55) << 1) | ((kinds >> 1) & 0x55)
+    of_first = dr.select(later[1], swapped, kinds) & 0x33
+    of_second = (dr.select(later[2], swapped, kinds) >> 2) & 0x33
+    return turns, children, places, (of_first << first) | (of_second << second)
+
+
+def _child(place: Any, turns: Any) -> Any:
+    """Return which child is at a place, the last two bits of `place`."""
+    pair = ((place >> 1) ^ turns) & 1
+    return (pair << 1) | ((place ^ (turns >> (pair + 1))) & 1)
+
+
+def _face(ty: Types, shifted: Any) -> Any:
+    """Return 1 + b / 32 for the five bits `b` from `_MANTISSA` on."""
+    return ty.Float(dr.reinterpret_array(ty.Float32, (shifted & _FACE) | 0x3F800000))
+
+
+def _is_finite(shifted: Any) -> Any:
+    """Tell whether these bits are neither all zero nor all one."""
+    return ((shifted + (1 << _MANTISSA)) & (_FACE - (1 << _MANTISSA))) != 0
