@@ -249,6 +249,11 @@ def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, n
 #: Rays look for a leaf this far beyond its edges: rounding moves grazing hits along the surface.
 _PAD = 1e-4
 
+#: What culling in float32 may be off at a coordinate, over the chart's largest entry `m` times
+#: the leaf's extent `r`. With a unit `u` of rounding, the point near the leaf, which is at most `r`
+#: away, makes 4 u m r of it, and the direction 3 u m over at most `2 r`; and root 3 for 1-norms.
+_CULLING = 18 * 2.0**-24
+
 #: Leaves examined at a time: bounds the memory, not the result.
 _CHUNK = 4096
 
@@ -280,7 +285,8 @@ def _fit_charts(
     rows = np.flatnonzero((w > 0).all(axis=1) & (spread <= settings.weight))
     rows = rows[~_hopeless(chart[rows], settings)]
     reach, inward = edge_reach(chart[rows])
-    margin = reach + _PAD
+    rounding = np.where(finite[rows], _rounding(nets[rows], shift[rows], frame[rows]), 0.0)
+    margin = reach + _PAD + rounding
     form = np.zeros((len(nets), FORM))
     good = np.zeros(len(nets), dtype=bool)
     bounds = leaf_bounds(chart[rows], margin, inward, settings.lateral)
@@ -291,7 +297,11 @@ def _fit_charts(
         & (bounds.height <= settings.height)
     )
     form[rows, :3], form[rows, 7:] = bounds.quadratics[:, :3], bounds.quadratics[:, 3:]
-    form[rows, 3], form[rows, 4], form[rows, 6] = bounds.remainder, bounds.variation, margin
+    # the slope of the quadratic takes what is off along the chart to a height: its gradient is at
+    # most 2 sqrt(2) times the sum of its coefficients over the unit triangle, some more beyond it
+    bends = 1 + 3 * (1 + 3 * margin) * np.abs(bounds.quadratics[:, :3]).sum(axis=1)
+    form[rows, 3] = bounds.remainder + bends * rounding
+    form[rows, 4], form[rows, 6] = bounds.variation, margin
     form[rows, 5] = pack_bending(bounds.bending, bounds.size)
     form[~np.isfinite(form).all(axis=1)] = 0.0
     deviation = chart.copy()
@@ -312,6 +322,13 @@ def _fit_charts(
         group=np.full(len(nets), -1),
     )
     return leaves, good
+
+
+def _rounding(nets: np.ndarray, shift: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return what culling may be off at the chart coordinates of finite leaves; see `_CULLING`."""
+    with np.errstate(all="ignore"):
+        extent = np.abs(_affine(nets) - shift[:, None]).max(axis=1).sum(axis=1)
+        return np.nan_to_num(_CULLING * np.abs(frame[:, :3, :3]).max(axis=(1, 2)) * extent)
 
 
 @cache

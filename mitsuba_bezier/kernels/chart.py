@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 
 from .arrays import Types, dot3, gather_packets
-from .structure import AFFINE, BOUND_UNIT, CULL_ROUNDING, PROJECTIVE, Structure
+from .structure import AFFINE, BOUND_UNIT, PROJECTIVE, Structure
 
 __all__ = ["ChartLine", "affine_line", "cull", "first_root", "projective_line", "root_fraction"]
 
@@ -25,7 +25,7 @@ class ChartLine:
     the entry into the leaf's prism and ``tau``.
     """
 
-    base: Any  #: ray parameter of a point near the leaf
+    base: Any  #: Float64, ray parameter of a point near the leaf
     gamma: Any  #: half the second derivative of the ray's height over the quadratic
     tau: Any
     end: Any  #: where the ray leaves the prism
@@ -34,7 +34,7 @@ class ChartLine:
     @staticmethod
     def zero(ty: Types) -> ChartLine:
         """Return an uninitialised value for a loop's state."""
-        return ChartLine(*(dr.zeros(ty.Float) for _ in range(5)))
+        return ChartLine(dr.zeros(ty.Float64), *(dr.zeros(ty.Float) for _ in range(4)))
 
 
 def cull(
@@ -67,38 +67,43 @@ def cull(
 def _cull_affine(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, ChartLine]:
-    """Cull in float32, with what that may be off as a part of the bounds.
+    """Cull in float32; what that may be off is a part of the leaf's bounds.
 
-    The march, which few rays get to, goes along a line that is known better: `affine_line`.
+    Only the ray's point near the leaf is found in float64, so that neither rays from afar nor
+    scenes far off make it worse. The march goes along a line that is known better: `affine_line`.
     """
     record = gather_packets(s.affine, leaf, AFFINE, active)
     rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
     e = [dot3(row, d) for row in rows]
-    away = [o[i] - ty.Float(record[i]) for i in range(3)]
-    x0 = [dot3(row, away) for row in rows]
-    # to the point nearest in the chart: on a leaf as thin as a hair the point nearest in space may
-    # be thousands of widths away
-    base = -dot3(x0, e) * dr.rcp(dot3(e, e))
-    x0 = [dr.fma(base, e[i], x0[i]) for i in range(3)]
+    f64 = ty.Float64
+    t0 = f64(-dot3([o[i] - ty.Float(record[i]) for i in range(3)], d) * dr.rcp(dot3(d, d)))
+    near = _point(ty, record, t0, o, d)
+    x0 = [dot3(row, [ty.Float(x) for x in near]) for row in rows]
+    # on a leaf as thin as a hair the nearest point may be thousands of widths away: then on to the
+    # point nearest in the chart
+    ahead = -dot3(x0, e) * dr.rcp(dot3(e, e))
+    x0 = [dr.fma(ahead, e[i], x0[i]) for i in range(3)]
+    base = t0 + f64(ahead)
     bits = dr.reinterpret_array(ty.UInt, record[15])
-    remainder = dr.square(ty.Float(bits & 0xFFF)) * BOUND_UNIT
-    margin = dr.square(ty.Float((bits >> 12) & 0xFFF)) * BOUND_UNIT
-    largest = ty.Float(dr.reinterpret_array(ty.Float32, (bits >> 1) & 0x7F800000))
-    error = largest * CULL_ROUNDING * (dr.abs(away[0]) + dr.abs(away[1]) + dr.abs(away[2]))
-    return _cull(base, x0, e, record[12:15], remainder, margin, error, -base, t_max - base)
+    remainder = dr.square(ty.Float(bits & 0xFFFF)) * BOUND_UNIT
+    margin = dr.square(ty.Float(bits >> 16)) * BOUND_UNIT
+    lo, hi = ty.Float(-base), ty.Float(f64(t_max) - base)
+    return _cull(base, x0, e, record[12:15], remainder, margin, lo, hi)
+
+
+def _point(ty: Types, record: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
+    """Return the point of a ray at `t`, from a leaf's shift, in float64."""
+    f64 = ty.Float64
+    return [dr.fma(t, f64(d[i]), f64(o[i]) - f64(record[i])) for i in range(3)]
 
 
 def affine_line(
     ty: Types, record: list[Any], base: Any, o: Any, d: Any
 ) -> tuple[list[Any], list[Any]]:
-    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero.
-
-    Float64 keeps rays from afar, and scenes far off, exact: the parameter `base` is some number of
-    float32, its point is found in float64.
-    """
+    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero."""
     f64 = ty.Float64
+    near = _point(ty, record, base, o, d)
     rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
-    near = [dr.fma(f64(base), f64(d[i]), f64(o[i]) - f64(record[i])) for i in range(3)]
     x0 = [ty.Float(dot3([f64(x) for x in row], near)) for row in rows]
     return x0, [dot3(row, d) for row in rows]
 
@@ -147,8 +152,9 @@ def _cull_projective(
     record = gather_packets(s.projective, leaf, PROJECTIVE, active)
     x0, e, _parameter, _both = projective_line(ty, record, o, d)
     x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
-    infinity, zero = dr.full(ty.Float, dr.inf), dr.zeros(ty.Float)
-    return _cull(zero, x0, e, record[20:23], record[3], record[23], zero, -infinity, infinity)
+    infinity = dr.full(ty.Float, dr.inf)
+    zero = dr.zeros(ty.Float64)
+    return _cull(zero, x0, e, record[20:23], record[3], record[23], -infinity, infinity)
 
 
 def _cull(
@@ -158,19 +164,13 @@ def _cull(
     quadratic: list[Any],
     remainder: Any,
     margin: Any,
-    error: Any,
     lo: Any,
     hi: Any,
 ) -> tuple[Any, ChartLine]:
-    """Cull on the line ``x0 + tau e``, whose coordinates may be off by `error`."""
     a, b, c = quadratic
     bends = dr.abs(a) + dr.abs(b) + dr.abs(c)
-    margin = margin + error
-    wide = dr.fma(margin, 3.0, 1.0)
-    # the quadratic's gradient is at most 2 sqrt(2) bends * wide over the unit triangle enlarged by
-    # the margin, and itself a fourth of bends wide^2; a little more to be safe
-    remainder = dr.fma(error, dr.fma(3.0 * bends, wide, 1.0), remainder)
-    height = dr.fma(0.26 * bends, dr.square(wide), remainder)
+    # |quadratic| over the unit triangle enlarged by the margin, a little more to be safe
+    height = dr.fma(0.26 * bends, dr.square(dr.fma(margin, 3.0, 1.0)), remainder)
     w0, ew = 1.0 - x0[0] - x0[1], -e[0] - e[1]
     for f0, f1 in ((x0[0], e[0]), (x0[1], e[1]), (w0, ew)):
         # f0 + tau f1 >= -margin, on the line: a half-line. Where f1 = 0 it is all or nothing, and

@@ -65,7 +65,6 @@ def _march_affine(
     record = gather_packets(s.affine, leaf, AFFINE, active)
     data = gather_packets(s.nets, leaf, HEAD + bernstein.size(s.degree) * s.components, active)
     x0, e = affine_line(ty, record, line.base, o, d)
-    base = ty.Float64(line.base)
     return _march(
         s.degree,
         data,
@@ -73,7 +72,7 @@ def _march_affine(
         x0,
         e,
         line,
-        lambda tau: ty.Float(base + ty.Float64(tau)),
+        lambda tau: ty.Float(line.base + ty.Float64(tau)),
         False,
         LAST_STEP,
         leaf_test(s, leaf),

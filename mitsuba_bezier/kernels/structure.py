@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Structure", "build_structure"]
 
-#: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, and as bits
-#: remainder and margin (12 each, see `BOUND_UNIT`) and the exponent of the chart's largest entry.
+#: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, two bounds packed.
 AFFINE = 16
 #: Floats in a projective leaf's record: shift 3, remainder, 4x4 chart 16, a b c, margin.
 PROJECTIVE = 24
@@ -40,13 +39,8 @@ FEW = 3
 #: `SECTION`.
 DOMAIN = 16
 
-#: Bounds are stored as ``code**2 * BOUND_UNIT`` in 12 bits, rounded up: from 2e-7 to 4.
-BOUND_UNIT = 2.0**-22
-#: What float32 may be off at a chart coordinate in culling, relative to the chart's largest entry
-#: times the 1-norm of a distance: of the ray's origin from the leaf's, 9.2 units of rounding (its
-#: difference 1, three products 3, and three times root 3 for the direction, over the way to the
-#: leaf), and of the leaf's extent, 5.2. The units are 2^-24.
-CULL_ROUNDING = 10 * 2.0**-24
+#: Bounds are stored as ``code**2 * BOUND_UNIT`` in 16 bits, rounded up: from 1e-9 to 4.
+BOUND_UNIT = 2.0**-30
 
 
 @dataclass
@@ -201,17 +195,9 @@ def _affine_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
     out[:, 0:3] = leaves.shift[which]
     out[:, 3:12] = leaves.frame[which, :3, :3].reshape(-1, 9)
     out[:, 12:15] = leaves.form[which, :3]
-    largest = np.abs(leaves.frame[which, :3, :3]).max(axis=(1, 2))
-    exponent = np.clip(np.ceil(np.log2(largest)), -126, 127).astype(int)
-    extent = np.abs(leaves.box[which] - leaves.shift[which, None]).max(axis=1).sum(axis=1)
-    bounds = leaves.form[which][:, [3, 6]] + (CULL_ROUNDING * 2.0**exponent * extent)[:, None]
-    # the slope of the quadratic takes an error along the chart to one of the height
-    bounds[:, 0] += (
-        3 * np.abs(leaves.form[which, :3]).sum(axis=1) * (bounds[:, 1] - leaves.form[which, 6])
-    )
-    code = np.clip(np.ceil(np.sqrt(bounds / BOUND_UNIT)), 0, 4095).astype(np.uint32)
-    code = code[:, 0] | code[:, 1] << np.uint32(12)
-    out[:, 15] = (code | (exponent + 127).astype(np.uint32) << np.uint32(24)).view(np.float32)
+    code = np.ceil(np.sqrt(leaves.form[which][:, [3, 6]] / BOUND_UNIT))
+    code = np.clip(code, 0, 65535).astype(np.uint32)
+    out[:, 15] = (code[:, 0] | (code[:, 1] << np.uint32(16))).view(np.float32)
     return out
 
 
