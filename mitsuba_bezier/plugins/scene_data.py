@@ -147,8 +147,10 @@ class SceneData:
                 pi.t = dr.inf
             pi = mi.PreliminaryIntersection3f(pi)
             pi.valid = pi.valid | valid
-            index = dr.gather(mi.UInt32, self.patch_shape, patch, valid)
-            first = dr.gather(mi.UInt32, self.patch_first, patch, valid)
+            index, first = mi.UInt32(0), mi.UInt32(0)
+            if len(self.shapes) > 1:
+                index = dr.gather(mi.UInt32, self.patch_shape, patch, valid)
+                first = dr.gather(mi.UInt32, self.patch_first, patch, valid)
             pi.t = dr.select(valid, mi.Float(hit.t), pi.t)
             pi.prim_uv = dr.select(valid, mi.Point2f(hit.u, hit.v), pi.prim_uv)
             pi.prim_index = dr.select(valid, patch - first, pi.prim_index)
