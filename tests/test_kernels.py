@@ -283,6 +283,20 @@ def test_quadrics_in_closed_form(kind):
     assert off < (3e-7 if "float32" in kind else 1e-13)
 
 
+def test_roots_of_quadrics_are_as_exact_as_float32_can_tell():
+    rng = np.random.default_rng(21)
+    o, d = rng.uniform(-0.4, 0.4, (20000, 3)).astype(np.float32), rng.normal(size=(20000, 3))
+    d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
+    columns = [[plain.Float(np.ascontiguousarray(a[:, k])) for k in range(3)] for a in (o, d)]
+    structure = build_structure(build_leaves(mb.sphere(cover="tetrahedral")), plain.Float)
+    t = np.array(intersect(structure, *columns, plain.Float(np.inf)).t, dtype=np.float64)
+    o, d = o.astype(float), d.astype(float)
+    b, q = np.einsum("ni,ni->n", o, d), np.einsum("ni,ni->n", d, d)
+    exact = (-b + np.sqrt(b * b - q * (np.einsum("ni,ni->n", o, o) - 1))) / q
+    # half a unit in the last place; a hundredth more for what the fitted quadric is off
+    assert (np.abs(t - exact) <= 0.51 * np.spacing(exact.astype(np.float32))).all()
+
+
 @pytest.mark.parametrize("kind", ["float32", "float64"])
 def test_octants_through_their_quadric(kind):
     patches = mb.sphere(cover="octants").transform(np.diag([1.0, 2.0, 0.5, 1]))

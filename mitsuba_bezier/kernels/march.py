@@ -26,6 +26,8 @@ LAST_STEP = 1e-4
 #: ... and in projective charts, where a point at distance t lies 1/t of the leaf's size from
 #: the plane at infinity: 1e-12 there is 1e-6 of t at t = 1e6.
 LAST_STEP_PROJECTIVE = 1e-6
+#: Heights below this (in leaf sizes) are a root: float32 may have them of either sign.
+ROUNDING = 1e-7
 #: A march that has not ended after so many steps is given up as a miss. Nearly all take less than
 #: ten; along the lines of a ruled surface, at a cosine `c`, it is some `1 / sqrt(c)`.
 MAX_STEPS = 1024
@@ -75,6 +77,7 @@ def _march_affine(
         lambda tau: ty.Float(line.base + ty.Float64(tau)),
         False,
         LAST_STEP,
+        ROUNDING,
         leaf_test(s, leaf),
         t_max,
         active,
@@ -98,6 +101,7 @@ def _march_projective(
         lambda tau: ty.Float(to_t(tau)),
         both,
         LAST_STEP_PROJECTIVE,
+        0.0,
         leaf_test(s, leaf + s.first_projective),
         t_max,
         active,
@@ -115,6 +119,7 @@ def _march(
     parameter: Any,
     all_roots: Any,
     last_step: float,
+    rounding: float,
     kept: Any,
     t_max: Any,
     active: Any,
@@ -142,6 +147,8 @@ def _march(
         Whether a later root may have the smaller ray parameter.
     last_step : float
         Steps below this are the last.
+    rounding : float
+        Heights below this are a root.
     kept : function or None
         Tells which roots are not trimmed away.
     """
@@ -160,6 +167,7 @@ def _march(
     wobble = 0.5 * variation * lateral2  # half the uncertainty of the second derivative
     speed2 = dr.fma(ez, ez, lateral2)
     speed = dr.sqrt(speed2)
+    longest = 2.0 * last_step * dr.rcp(speed)
     tilt = 2.0 * bending * dr.sqrt(lateral2)
     # the quadratic's mixed second derivative along the ray and along the axes
     mixed_x = dr.fma(a, ey, -dr.fma(b, ex + ex + ey, c * ey))
@@ -211,17 +219,14 @@ def _march(
         num, den, exists = root_fraction(sure, signed_slope, dr.fma(sign, gamma, -wobble))
         num, den = dr.select(certain, num, 0.0), dr.select(certain, den, 1.0)
         exists = exists | ~certain
-        root = (
-            certain
-            & exists
-            & (off2 < last_step * last_step)
-            & (dr.abs(num) * speed < last_step * den)
-            & (dr.abs(value) * speed < last_step * dr.abs(slope))
-        )
+        root = exists & (dr.abs(num) * speed < last_step * den)
+        root = root & (dr.abs(value) * speed < last_step * dr.abs(slope))
+        root = certain & (off2 < last_step * last_step) & (root | (dr.abs(value) < rounding))
         # the last step is Halley's, without the slack; Newton's where the two differ much
         square = slope * slope
         bend = dr.clip(gamma * value, -0.5 * square, 0.5 * square)
         delta = dr.select(root, -value * slope, num) / dr.select(root, square - bend, den)
+        delta = dr.select(root, dr.clip(delta, -longest, longest), delta)
         tau = tau + delta
         u, v = u + dr.fma(eu, delta, du), v + dr.fma(ev, delta, dv)
         held_u, held_v = held(u, v)
