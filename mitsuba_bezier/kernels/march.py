@@ -26,8 +26,6 @@ LAST_STEP = 1e-4
 #: ... and in projective charts, where a point at distance t lies 1/t of the leaf's size from
 #: the plane at infinity: 1e-12 there is 1e-6 of t at t = 1e6.
 LAST_STEP_PROJECTIVE = 1e-6
-#: Heights below this (in leaf sizes) are a root: float32 may have them of either sign.
-ROUNDING = 1e-7
 #: A march that has not ended after so many steps is given up as a miss. Nearly all take less than
 #: ten; along the lines of a ruled surface, at a cosine `c`, it is some `1 / sqrt(c)`.
 MAX_STEPS = 1024
@@ -77,7 +75,6 @@ def _march_affine(
         lambda tau: ty.Float(line.base + ty.Float64(tau)),
         False,
         LAST_STEP,
-        ROUNDING,
         leaf_test(s, leaf),
         t_max,
         active,
@@ -101,7 +98,6 @@ def _march_projective(
         lambda tau: ty.Float(to_t(tau)),
         both,
         LAST_STEP_PROJECTIVE,
-        0.0,
         leaf_test(s, leaf + s.first_projective),
         t_max,
         active,
@@ -119,7 +115,6 @@ def _march(
     parameter: Any,
     all_roots: Any,
     last_step: float,
-    rounding: float,
     kept: Any,
     t_max: Any,
     active: Any,
@@ -147,8 +142,6 @@ def _march(
         Whether a later root may have the smaller ray parameter.
     last_step : float
         Steps below this are the last.
-    rounding : float
-        Heights below this are a root.
     kept : function or None
         Tells which roots are not trimmed away.
     """
@@ -221,7 +214,9 @@ def _march(
         exists = exists | ~certain
         root = exists & (dr.abs(num) * speed < last_step * den)
         root = root & (dr.abs(value) * speed < last_step * dr.abs(slope))
-        root = certain & (off2 < last_step * last_step) & (root | (dr.abs(value) < rounding))
+        # No step leads past a root. On its other side, with the bound's zeros nowhere, there is no
+        # other way to come but by rounding: the root is at hand
+        root = certain & (off2 < last_step * last_step) & (root | (~exists & (signed < 0.0)))
         # the last step is Halley's, without the slack; Newton's where the two differ much
         square = slope * slope
         bend = dr.clip(gamma * value, -0.5 * square, 0.5 * square)
