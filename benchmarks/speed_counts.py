@@ -51,8 +51,9 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     buffers = {name: getattr(structure, name) for name in RECORDS}
     buffers["nodes"] = structure.nodes.records
     names = {buffer.index: name for name, buffer in buffers.items()}
-    zeros = dr.zeros(types_of(mi.Float).UInt, width)
-    counters: dict[str, Any] = {n: [zeros + 0 for _ in range(PLACES)] for n in RECORDS}
+    counters: dict[str, Any] = {
+        n: [dr.zeros(types_of(mi.Float).UInt, width) for _ in range(PLACES)] for n in RECORDS
+    }
     unused = {n: list(every) for n, every in counters.items()}
     dr.eval(counters)
     packets: dict[str, int] = {}

@@ -11,7 +11,7 @@ from mitsuba_bezier.geometry.tree import NO_LEAF, build_tree
 from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.arrays import types_of
 from mitsuba_bezier.kernels.nodes import build_nodes
-from mitsuba_bezier.kernels.walk import begin, begin_at_root, prepare, take_leaf, walk_to_leaves
+from mitsuba_bezier.kernels.walk import begin, begin_at_root, next_leaf, prepare
 
 
 def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float):
@@ -32,8 +32,7 @@ def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float
         dr.eval(walk, run)
         if not dr.any(run):
             return out
-        walk = walk_to_leaves(nodes, ty, first, walk, slabs, t_max, run)
-        walk.leaves, leaf = take_leaf(nodes, ty, first, walk.leaves, run)
+        walk, leaf = next_leaf(nodes, ty, first, walk, slabs, t_max, run)
         for ray, number in enumerate(np.array(leaf)):
             if number != NO_LEAF:
                 out[ray].append(int(number))

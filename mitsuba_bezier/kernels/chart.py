@@ -73,7 +73,7 @@ def _cull_affine(
     scenes far off make it worse. The march goes along a line that is known better: `affine_line`.
     """
     record = gather_packets(s.affine, leaf, AFFINE, active)
-    rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
+    rows = _rows(record)
     e = [dot3(row, d) for row in rows]
     f64 = ty.Float64
     t0 = f64(-dot3([o[i] - ty.Float(record[i]) for i in range(3)], d) * dr.rcp(dot3(d, d)))
@@ -91,6 +91,11 @@ def _cull_affine(
     return _cull(base, x0, e, record[12:15], remainder, margin, lo, hi)
 
 
+def _rows(record: list[Any]) -> list[list[Any]]:
+    """Return the rows of an affine leaf's chart."""
+    return [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
+
+
 def _point(ty: Types, record: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
     """Return the point of a ray at `t`, from a leaf's shift, in float64."""
     f64 = ty.Float64
@@ -103,7 +108,7 @@ def affine_line(
     """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero."""
     f64 = ty.Float64
     near = _point(ty, record, base, o, d)
-    rows = [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
+    rows = _rows(record)
     x0 = [ty.Float(dot3([f64(x) for x in row], near)) for row in rows]
     return x0, [dot3(row, d) for row in rows]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -13,7 +13,7 @@ from .arrays import dot3, gather_packets, types_of, upload
 from .nodes import Nodes, build_nodes
 from .structure import Structure
 from .traverse import Hit, finish, is_ray, search
-from .walk import begin, begin_at_root, prepare, take_leaf, walk_to_leaves
+from .walk import begin, begin_at_root, next_leaf, prepare
 
 __all__ = ["Copies", "build_copies", "intersect_copies"]
 
@@ -96,9 +96,7 @@ def intersect_copies(
     inv_length = dr.sqrt(inv_length2)
 
     def body(run, walk, t, leaf, u, v, copy):
-        walk = walk_to_leaves(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
-        left, index = take_leaf(c.nodes, ty, ty.UInt(0), walk.leaves, run)
-        walk = replace(walk, leaves=left)
+        walk, index = next_leaf(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
         found = run & (index != NO_LEAF)
         m = gather_packets(c.records, index, COPY, found)
         away = [f64(m[i]) - f64(o[i]) for i in range(3)]

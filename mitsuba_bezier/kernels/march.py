@@ -20,8 +20,8 @@ from .trim import leaf_test
 
 __all__ = ["march"]
 
-#: Steps below this (in leaf sizes) are the last: the error after it is its square times the
-#: leaf's bending, below the rounding of float32.
+#: Steps below this (in leaf sizes) are the last: the error after it is its square times what the
+#: leaf's bounds leave open of the second derivative, below the rounding of float32.
 LAST_STEP = 1e-4
 #: ... and in projective charts, where a point at distance t lies 1/t of the leaf's size from
 #: the plane at infinity: 1e-12 there is 1e-6 of t at t = 1e6.
@@ -91,7 +91,7 @@ def _march_projective(
     hit, t, u, v = _march(
         s.degree,
         data,
-        [ty.Float64(x) for x in record[20:23]],
+        record[20:23],
         x0,
         e,
         line,

@@ -85,7 +85,7 @@ def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None)
     # the faces of a child are only known to its parent: the root's, to all
     low = np.clip(padded[owner == 0, 0].min(axis=0), -_FAR, _FAR)
     high = np.clip(padded[owner == 0, 1].max(axis=0), -_FAR, _FAR)
-    levels = 1 + max(int(_level(np.array([len(r) - 1]))[0]) // 2 for r in records)
+    levels = 1 + int(_level(max(map(len, records)) - 1)) // 2
     return Nodes(
         records=upload(like.Float32, all_records.view(np.float32)),
         slots=upload(like.UInt, all_slots),
@@ -99,7 +99,7 @@ def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None)
     )
 
 
-def _level(number: np.ndarray) -> np.ndarray:
+def _level(number: Any) -> Any:
     """Return the depth of binary nodes, 0 for node 0."""
     return np.maximum(np.frexp(number)[1] - 1, 0)
 

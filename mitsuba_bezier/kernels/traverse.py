@@ -14,7 +14,7 @@ from .march import march
 from .quadric import group_hit
 from .section import section_parameters
 from .structure import DOMAIN, Structure
-from .walk import Slabs, Walk, begin, prepare, take_leaf, walk_to_leaves
+from .walk import Slabs, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
 
 __all__ = ["Hit", "finish", "intersect", "is_ray", "search"]
 
@@ -79,10 +79,13 @@ def search(
     """Search the tree that begins at `first`; return t, leaf (or `NO_LEAF`), u, v of the leaf."""
 
     def body(run, walk, t, leaf, u, v):
+        def candidate(walk, run):
+            return _candidate(s, ty, first, walk, o, d, slabs, t, run, pairs=not any_hit)
+
         if any_hit:
-            walk, index, line = _next_candidate(s, ty, first, walk, o, d, slabs, t, run)
+            walk, index, line = _until_found(ty, candidate, walk, run)
         else:
-            walk, index, line = _some_candidates(s, ty, first, walk, o, d, slabs, t, run, 2)
+            walk, index, line = candidate(walk, run)
         found = run & (index != NO_LEAF)
         if s.has_groups and (s.has_affine or s.has_projective):
             accept, t_new, u_new, v_new, leaf_new = dr.if_stmt(
@@ -141,25 +144,15 @@ def finish(
     return Hit(valid, t, patch, u, v)
 
 
-def _next_candidate(
-    s: Structure,
-    ty: Types,
-    first: Any,
-    walk: Walk,
-    o: Any,
-    d: Any,
-    slabs: Slabs,
-    t_max: Any,
-    run: Any,
-) -> tuple[Walk, Any, ChartLine]:
-    """Walk the tree to the next leaf that its quadratic does not exclude.
+def _until_found(ty: Types, candidate: Any, walk: Walk, run: Any) -> tuple[Walk, Any, ChartLine]:
+    """Repeat `candidate` until there is one, or the tree is at its end.
 
     The lanes of a packet that found one wait for the others, and all march together: the least
     marches. It pays where few go on after their first.
     """
 
     def body(go, walk, leaf, line):
-        walk, leaf, line = _some_candidates(s, ty, first, walk, o, d, slabs, t_max, go, 1)
+        walk, leaf, line = candidate(walk, go)
         return go & (leaf == NO_LEAF) & walk.goes_on(), walk, leaf, line
 
     _go, walk, leaf, line = dr.while_loop(
@@ -172,7 +165,7 @@ def _next_candidate(
     return walk, leaf, line
 
 
-def _some_candidates(
+def _candidate(
     s: Structure,
     ty: Types,
     first: Any,
@@ -182,37 +175,37 @@ def _some_candidates(
     slabs: Slabs,
     t_max: Any,
     run: Any,
-    at_once: int,
+    pairs: bool,
 ) -> tuple[Walk, Any, ChartLine]:
     """Walk to the next node with leaves, and find the first that its quadratic does not exclude.
 
-    There may be none, and still more of the tree. Leaves are culled in pairs, if `at_once` is
-    two: that takes less than twice the time of one, most of which is waiting for results.
+    There may be none, and still more of the tree. Leaves may be culled in `pairs`: that takes
+    less than twice the time of one, most of which is waiting for results.
     """
-    walk = walk_to_leaves(s.nodes, ty, first, walk, slabs, t_max, run)
     if not (s.has_affine or s.has_projective):
-        leaves, leaf = take_leaf(s.nodes, ty, first, walk.leaves, run)
-        return replace(walk, leaves=leaves), leaf, ChartLine.zero(ty)
+        walk, leaf = next_leaf(s.nodes, ty, first, walk, slabs, t_max, run)
+        return walk, leaf, ChartLine.zero(ty)
+
+    def take(leaves, go):
+        """Take a leaf, and turn it down if it is culled."""
+        leaves, leaf = take_leaf(s.nodes, ty, first, leaves, go)
+        known = go & (leaf != NO_LEAF)
+        graph = known & (leaf < s.first_group) if s.has_groups else known
+        candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
+        return leaves, dr.select(known & (candidate | ~graph), leaf, NO_LEAF), line
 
     def body(go, leaves, leaf, line):
-        left, found, lines = [leaves], [], []
-        for _ in range(at_once):
-            leaves, leaf = take_leaf(s.nodes, ty, first, left[-1], go)
-            known = go & (leaf != NO_LEAF)
-            graph = known & (leaf < s.first_group) if s.has_groups else known
-            candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
-            left.append(leaves)
-            found.append(dr.select(known & (candidate | ~graph), leaf, NO_LEAF))
-            lines.append(line)
-        leaves, leaf, line = left[-1], found[-1], lines[-1]
-        for k in range(at_once - 2, -1, -1):
-            better = found[k] != NO_LEAF
-            # what comes after it will be culled again, if it is a candidate as well
-            leaves = dr.select(better & (leaf != NO_LEAF), left[k + 1], leaves)
-            leaf, line = dr.select(better, found[k], leaf), dr.select(better, lines[k], line)
+        leaves, leaf, line = take(leaves, go)
+        if pairs:
+            others, second, its_line = take(leaves, go)
+            found = leaf != NO_LEAF
+            # a second candidate stays, and will be culled again
+            leaves = dr.select(found & (second != NO_LEAF), leaves, others)
+            leaf, line = dr.select(found, leaf, second), dr.select(found, line, its_line)
         go = go & (leaf == NO_LEAF) & (leaves != 0)
         return go, leaves, leaf, line
 
+    walk = walk_to_leaves(s.nodes, ty, first, walk, slabs, t_max, run)
     _go, leaves, leaf, line = dr.while_loop(
         (run & (walk.leaves != 0), walk.leaves, ty.UInt(NO_LEAF), ChartLine.zero(ty)),
         cond=lambda *st: st[0],

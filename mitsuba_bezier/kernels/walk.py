@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -11,7 +11,16 @@ from ..geometry.tree import NO_LEAF
 from .arrays import Types, gather_packets
 from .nodes import HIGH, INNER, LOW, NODE, STEPS, Nodes
 
-__all__ = ["Slabs", "Walk", "begin", "begin_at_root", "prepare", "take_leaf", "walk_to_leaves"]
+__all__ = [
+    "Slabs",
+    "Walk",
+    "begin",
+    "begin_at_root",
+    "next_leaf",
+    "prepare",
+    "take_leaf",
+    "walk_to_leaves",
+]
 
 #: The largest reciprocal of a direction's component.
 _LARGEST = 1e20
@@ -50,7 +59,7 @@ class Walk:
     #: UInt, or UInt64 in deep trees: for each level from the node's on, four bits for the places of
     #: siblings that are still to be visited
     pending: Any
-    turns: Any  #: the same, three bits for each level: the `_turns` of the parent
+    turns: Any  #: the same, three bits for each level: the turns of the parent, see `_order`
     leaves: Any  #: UInt: a node's number, its turns and four bits for places of leaves; or zero
 
     def goes_on(self) -> Any:
@@ -143,6 +152,15 @@ def take_leaf(nodes: Nodes, ty: Types, first: Any, leaves: Any, run: Any) -> tup
     others = leaves & (leaves - 1)
     others = dr.select((others & 15) != 0, others, 0)
     return dr.select(found, others, leaves), dr.select(found, leaf, NO_LEAF)
+
+
+def next_leaf(
+    nodes: Nodes, ty: Types, first: Any, walk: Walk, slabs: Slabs, t_max: Any, run: Any
+) -> tuple[Walk, Any]:
+    """Walk a tree to the next leaf whose box is hit, and past it; the leaf as from `take_leaf`."""
+    walk = walk_to_leaves(nodes, ty, first, walk, slabs, t_max, run)
+    leaves, leaf = take_leaf(nodes, ty, first, walk.leaves, run)
+    return replace(walk, leaves=leaves), leaf
 
 
 def _step(

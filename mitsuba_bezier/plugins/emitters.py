@@ -76,9 +76,7 @@ class EmitterSampling:
         there = dr.zeros(mi.SurfaceInteraction3f, dr.width(exact.dist))
         there.p, there.n, there.uv = exact.p, exact.n, exact.uv
         there.sh_frame = mi.Frame3f(exact.n)
-        number = dr.gather(mi.UInt32, data.patch_shape, patch, ours)
-        there.prim_index = patch - dr.gather(mi.UInt32, data.patch_first, patch, ours)
-        there.shape = dr.gather(mi.ShapePtr, data.pointers, number, ours)
+        there.shape, there.prim_index = data.owner(patch, ours)
         there.wi = there.to_local(-exact.d)
         there.wavelengths, there.time = si.wavelengths, si.time
         there.t = exact.dist

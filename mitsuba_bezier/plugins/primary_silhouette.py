@@ -180,11 +180,9 @@ def surface_at(
     out.d = dr.select(point.is_edge, d, dr.normalize(d - _GRAZING * point.n))
     out.o = point.p - distance * out.d
     hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), mi.Bool(active), point.patch)
-    number = dr.gather(mi.UInt32, data.patch_shape, point.patch, active)
     hit.pi.valid, hit.pi.t = mi.Bool(active), distance
     hit.pi.prim_uv = mi.Point2f(point.u, point.v)
-    hit.pi.shape = dr.gather(mi.ShapePtr, data.pointers, number, active)
-    hit.pi.prim_index = point.patch - dr.gather(mi.UInt32, data.patch_first, point.patch, active)
+    hit.pi.shape, hit.pi.prim_index = data.owner(point.patch, active)
     return out, hit
 
 
@@ -206,8 +204,7 @@ def _difference(
     # where the curve is seen end-on, there is no side
     active = active & (dr.squared_norm(across) > 0)
     if integrator.hide_emitters:
-        number = dr.gather(mi.UInt32, data.patch_shape, point.patch, active)
-        shape = dr.gather(mi.ShapePtr, data.pointers, number, active)
+        shape, _index = data.owner(point.patch, active)
         active = active & (shape.emitter() == None)  # noqa: E711
     outer, weight = camera.ray(sampler, position + aside, wavelength_sample)
     inner, _weight = camera.ray(sampler, position - aside, wavelength_sample)

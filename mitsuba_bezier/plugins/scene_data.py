@@ -147,20 +147,23 @@ class SceneData:
                 pi.t = dr.inf
             pi = mi.PreliminaryIntersection3f(pi)
             pi.valid = pi.valid | valid
-            index, first = mi.UInt32(0), mi.UInt32(0)
-            if len(self.shapes) > 1:
-                index = dr.gather(mi.UInt32, self.patch_shape, patch, valid)
-                first = dr.gather(mi.UInt32, self.patch_first, patch, valid)
+            shape, index = self.owner(patch, valid)
             pi.t = dr.select(valid, mi.Float(hit.t), pi.t)
             pi.prim_uv = dr.select(valid, mi.Point2f(hit.u, hit.v), pi.prim_uv)
-            pi.prim_index = dr.select(valid, patch - first, pi.prim_index)
-            pi.shape = dr.select(
-                valid, dr.gather(mi.ShapePtr, self.pointers, index, valid), pi.shape
-            )
+            pi.prim_index = dr.select(valid, index, pi.prim_index)
+            pi.shape = dr.select(valid, shape, pi.shape)
             pi.instance = dr.select(valid, dr.zeros(mi.ShapePtr), pi.instance)
             if copy is not None:
                 pi.shape_index = dr.select(valid, mi.UInt32(copy), pi.shape_index)
             return Preliminary(pi, valid, patch)
+
+    def owner(self, patch: Any, active: Any) -> tuple[Any, Any]:
+        """Return the shape (`mi.ShapePtr`) of a patch, and the patch's number in it."""
+        number, first = mi.UInt32(0), mi.UInt32(0)
+        if len(self.shapes) > 1:
+            number = dr.gather(mi.UInt32, self.patch_shape, patch, active)
+            first = dr.gather(mi.UInt32, self.patch_first, patch, active)
+        return dr.gather(mi.ShapePtr, self.pointers, number, active), patch - first
 
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether a ray hits any patch before ``ray.maxt``."""
