@@ -16,7 +16,16 @@ from .section import section_parameters
 from .structure import DOMAIN, Structure
 from .walk import Slabs, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
 
-__all__ = ["Hit", "finish", "intersect", "is_ray", "search"]
+__all__ = [
+    "Hit",
+    "cull_leaf",
+    "finish",
+    "intersect",
+    "is_ray",
+    "meet",
+    "search",
+    "take_candidate",
+]
 
 
 class Hit(NamedTuple):
@@ -87,19 +96,7 @@ def search(
         else:
             walk, index, line = candidate(walk, run)
         found = run & (index != NO_LEAF)
-        if s.has_groups and (s.has_affine or s.has_projective):
-            accept, t_new, u_new, v_new, leaf_new = dr.if_stmt(
-                args=(found, index, line, t),
-                cond=found & (index >= s.first_group),
-                true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.first_group, o, d, t, m),
-                false_fn=lambda m, i, line, t: (*march(s, ty, i, line, o, d, t, m), i),
-                label="bezier leaf kind",
-            )
-        elif s.has_groups:
-            accept, t_new, u_new, v_new, leaf_new = group_hit(s, ty, index, o, d, t, found)
-        else:
-            accept, t_new, u_new, v_new = march(s, ty, index, line, o, d, t, found)
-            leaf_new = index
+        accept, t_new, u_new, v_new, leaf_new = meet(s, ty, index, line, o, d, t, found)
         t = dr.select(accept, t_new, t)
         leaf = dr.select(accept, leaf_new, leaf)
         u, v = dr.select(accept, u_new, u), dr.select(accept, v_new, v)
@@ -117,6 +114,33 @@ def search(
         label="bezier traversal",
     )
     return t, leaf, u, v
+
+
+def meet(
+    s: Structure, ty: Types, index: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Find the first hit in a leaf, or in a group of exact ones.
+
+    Returns
+    -------
+    hit : Bool
+    t : Float
+    u, v : Float
+        Of the leaf.
+    leaf : UInt
+        For a group, the member.
+    """
+    if s.has_groups and (s.has_affine or s.has_projective):
+        return dr.if_stmt(
+            args=(active, index, line, t_max),
+            cond=active & (index >= s.first_group),
+            true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.first_group, o, d, t, m),
+            false_fn=lambda m, i, line, t: (*march(s, ty, i, line, o, d, t, m), i),
+            label="bezier leaf kind",
+        )
+    if s.has_groups:
+        return group_hit(s, ty, index, o, d, t_max, active)
+    return (*march(s, ty, index, line, o, d, t_max, active), index)
 
 
 def finish(
@@ -142,6 +166,25 @@ def finish(
         inv = dr.rcp(bary[0] + bary[1] + bary[2])
         u, v = bary[0] * inv, bary[1] * inv
     return Hit(valid, t, patch, u, v)
+
+
+def take_candidate(
+    s: Structure, ty: Types, first: Any, leaves: Any, o: Any, d: Any, t_max: Any, run: Any
+) -> tuple[Any, Any, ChartLine]:
+    """Take a leaf out of a walk's `leaves`, and turn it down if it is culled."""
+    leaves, leaf = take_leaf(s.nodes, ty, first, leaves, run)
+    known = run & (leaf != NO_LEAF)
+    line, candidate = cull_leaf(s, ty, leaf, o, d, t_max, known)
+    return leaves, dr.select(candidate, leaf, NO_LEAF), line
+
+
+def cull_leaf(
+    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
+) -> tuple[ChartLine, Any]:
+    """Return a ray's line in a leaf's chart, and which rays may hit the leaf; groups may."""
+    graph = active & (leaf < s.first_group) if s.has_groups else active
+    candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
+    return line, active & (candidate | ~graph)
 
 
 def _until_found(ty: Types, candidate: Any, walk: Walk, run: Any) -> tuple[Walk, Any, ChartLine]:
@@ -187,12 +230,7 @@ def _candidate(
         return walk, leaf, ChartLine.zero(ty)
 
     def take(leaves, go):
-        """Take a leaf, and turn it down if it is culled."""
-        leaves, leaf = take_leaf(s.nodes, ty, first, leaves, go)
-        known = go & (leaf != NO_LEAF)
-        graph = known & (leaf < s.first_group) if s.has_groups else known
-        candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
-        return leaves, dr.select(known & (candidate | ~graph), leaf, NO_LEAF), line
+        return take_candidate(s, ty, first, leaves, o, d, t_max, go)
 
     def body(go, leaves, leaf, line):
         leaves, leaf, line = take(leaves, go)

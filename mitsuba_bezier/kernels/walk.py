@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 
@@ -36,7 +36,8 @@ _MANTISSA = 18
 _FACE = STEPS << _MANTISSA
 
 
-class Slabs(NamedTuple):
+@dataclass
+class Slabs:
     """What a slab test needs of a ray: ``plane * rcp + near`` is the entry, and the exit alike."""
 
     rcp: list[Any]  #: reciprocals of the direction, finite
@@ -111,9 +112,16 @@ def begin_at_root(ty: Types, nodes: Nodes, is_leaf: Any, active: Any) -> Walk:
 
 
 def walk_to_leaves(
-    nodes: Nodes, ty: Types, first: Any, walk: Walk, slabs: Slabs, t_max: Any, run: Any
+    nodes: Nodes,
+    ty: Types,
+    first: Any,
+    walk: Walk,
+    slabs: Slabs,
+    t_max: Any,
+    run: Any,
+    most: int | None = None,
 ) -> Walk:
-    """Walk to the next node with leaves whose boxes are hit, and past it, or to the end.
+    """Walk a tree to the next node with leaves whose boxes are hit, for `most` nodes at most.
 
     Nothing is done where the walk has leaves already. The tree begins at `first`.
     """
@@ -121,19 +129,26 @@ def walk_to_leaves(
     def waits(walk):
         return (walk.leaves == 0) & (walk.node != 0)
 
-    def body(go, walk):
+    def step(walk, go):
         record = gather_packets(nodes.records, first + walk.node, NODE, go)
-        walk = _step(ty, record, nodes.unbounded, walk, slabs, t_max)
+        return _step(ty, record, nodes.unbounded, walk, slabs, t_max)
+
+    def body(go, walk):
+        walk = step(walk, go)
         return go & waits(walk), walk
 
-    _go, walk = dr.while_loop(
-        (run & waits(walk), walk),
+    def counted(go, walk, count):
+        walk, count = step(walk, go), count + 1
+        return go & waits(walk) & (count < most), walk, count
+
+    state = (run & waits(walk), walk)
+    return dr.while_loop(
+        state if most is None else (*state, dr.zeros(ty.UInt)),
         cond=lambda *st: st[0],
-        body=body,
-        labels=("go", "walk"),
+        body=body if most is None else counted,
+        labels=("go", "walk", "count")[: 2 if most is None else 3],
         label="bezier boxes",
-    )
-    return walk
+    )[1]
 
 
 def take_leaf(nodes: Nodes, ty: Types, first: Any, leaves: Any, run: Any) -> tuple[Any, Any]:

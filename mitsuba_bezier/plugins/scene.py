@@ -36,13 +36,13 @@ class SceneRays:
     def preliminary(self, ray: Any, coherent: bool = False, active: Any = True) -> Preliminary:
         """Return the nearest hit."""
         if self.data is not None and not self.data.scene_has_others:
-            return self.data.preliminary(ray, active)
+            return self.data.preliminary(ray, active, None, coherent)
         pi = self.scene.ray_intersect_preliminary(
             ray, coherent=coherent, reorder=False, active=active
         )
         if self.data is None:
             return Preliminary(pi, mi.Bool(False), mi.UInt32(0))
-        return self.data.preliminary(ray, active, pi)
+        return self.data.preliminary(ray, active, pi, coherent)
 
     def surface_interaction(
         self, hit: Preliminary, ray: Any, flags: Any = None, active: Any = True
@@ -85,7 +85,8 @@ def ray_intersect(
     ray_flags : mi.RayFlags, optional
         What to compute; default ``All``.
     coherent : bool
-        Whether the rays are coherent (a hint for Mitsuba's own shapes).
+        Whether neighbouring rays go much the same way. If not told so, the rays of large arrays
+        are looked at; see docs/performance.md.
     active : mi.Bool
 
     Returns

@@ -18,9 +18,10 @@ from ..geometry.leaves import LeafSettings, Leaves
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
+from ..kernels.batch import query
 from ..kernels.patch import pack
 from ..kernels.structure import Structure, build_structure
-from ..kernels.traverse import Hit, intersect
+from ..kernels.traverse import Hit
 from ..kernels.trim import TrimTable, build_table
 from .attached import attached_tables
 from .contours import open_edges
@@ -113,7 +114,9 @@ class SceneData:
 
     # ------------------------------------------------------------------ queries
 
-    def _nearest(self, ray: Any, t_max: Any, active: Any, any_hit: bool) -> tuple[Hit, Any]:
+    def _nearest(
+        self, ray: Any, t_max: Any, active: Any, any_hit: bool, coherent: bool
+    ) -> tuple[Hit, Any]:
         """Return the hit of the kernels, and 1 + the number of the copy, 0 for none."""
         ty = types_of(mi.Float)
         o = [ty.Float(dr.detach(ray.o[i], False)) for i in range(3)]
@@ -121,11 +124,11 @@ class SceneData:
         t_max, active = dr.detach(mi.Float(t_max), False), dr.detach(mi.Bool(active), False)
         if self.copies is None:
             assert self.structure is not None
-            return intersect(self.structure, o, d, t_max, active, any_hit), None
+            return query(self.structure, o, d, t_max, active, any_hit, coherent), None
         if self.structure is None:
             hit, copy = self.copies.intersect(o, d, t_max, active, any_hit)
             return hit, dr.select(hit.valid, copy + 1, 0)
-        first = intersect(self.structure, o, d, t_max, active, any_hit)
+        first = query(self.structure, o, d, t_max, active, any_hit, coherent)
         if any_hit:
             active = active & ~first.valid
         hit, copy = self.copies.intersect(o, d, dr.minimum(t_max, first.t), active, any_hit)
@@ -135,11 +138,13 @@ class SceneData:
         )
         return both, dr.select(hit.valid, copy + 1, 0)
 
-    def preliminary(self, ray: Any, active: Any = True, pi: Any = None) -> Preliminary:
+    def preliminary(
+        self, ray: Any, active: Any = True, pi: Any = None, coherent: bool = False
+    ) -> Preliminary:
         """Return the nearest hit, of `pi` (Mitsuba's own, if given) and of our patches."""
         with dr.suspend_grad():
             ray_maxt = mi.Float(ray.maxt) if pi is None else dr.minimum(ray.maxt, pi.t)
-            hit, copy = self._nearest(ray, ray_maxt, active, False)
+            hit, copy = self._nearest(ray, ray_maxt, active, False, coherent)
             valid = mi.Bool(hit.valid)
             patch = mi.UInt32(hit.patch)
             if pi is None:
@@ -168,7 +173,7 @@ class SceneData:
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether a ray hits any patch before ``ray.maxt``."""
         with dr.suspend_grad():
-            hit, _copy = self._nearest(ray, ray.maxt, active, True)
+            hit, _copy = self._nearest(ray, ray.maxt, active, True, False)
             return mi.Bool(hit.valid)
 
     def surface_interaction(self, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Any:

@@ -1,0 +1,339 @@
+"""Queries with many rays, in memory, that have little in common.
+
+In `traverse.intersect` each ray has a lane, and a packet of lanes goes on until its last ray is
+done: where neighbours go different ways most lanes wait. Here a lane takes the next ray of its
+share when it is done with one (Aila and Laine, "Understanding the Efficiency of Ray Traversal on
+GPUs", 2009, section 3.3); and it is done as soon as there is a leaf that may be hit. Then these
+leaves are met, all lanes at work, and the rays that have to go on begin again where they were.
+
+The steps are those of `traverse`, and so are the results, to the last bit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+
+from ..geometry.tree import NO_LEAF
+from .arrays import Types, dot3, types_of
+from .structure import Structure
+from .traverse import Hit, cull_leaf, finish, intersect, is_ray, meet, search, take_candidate
+from .walk import Slabs, Walk, begin, prepare, walk_to_leaves
+
+__all__ = ["intersect_batch", "is_worthwhile", "query"]
+
+#: Fewer rays are left to `traverse`, at the beginning and at the end: each launch takes its time.
+_FEW = 1 << 16
+#: As often all rays are taken to their next leaf; few are left then, and these have much to do.
+_ROUNDS = 3
+#: After so many nodes without a leaf the lanes of a packet look at the leaves of the others. 2 to
+#: 6 are alike.
+_NODES = 3
+#: The rays of one packet at a time are neighbours; a share is as many for each of its lanes.
+_PACKET = 16
+_SHARE = 64
+#: So many rays are traced at once, at most, for the memory that they take.
+_AT_ONCE = 1 << 24
+#: Trees of fewer leaves are walked in a few steps.
+_FEW_LEAVES = 8
+#: Rays have little in common if neighbours are so far apart, see `_distance`.
+_APART = 0.05
+#: So many pairs of neighbours are looked at.
+_SAMPLES = 4096
+
+#: Where arrays have no values yet, or must not be looked at.
+_RECORDING = (
+    dr.JitFlag.SymbolicScope,
+    dr.JitFlag.FreezingScope,
+    dr.JitFlag.ForbidSynchronization,
+)
+
+
+def query(
+    s: Structure, o: list[Any], d: list[Any], t_max: Any, active: Any, any_hit: bool, coherent: bool
+) -> Hit:
+    """Intersect rays with all leaves in the way that is the fastest; see `traverse.intersect`.
+
+    Parameters
+    ----------
+    coherent : bool
+        Whether neighbours among the rays are known to have much in common.
+    """
+    if not coherent and is_worthwhile(s, o, d):
+        return intersect_batch(s, o, d, t_max, active, any_hit)
+    return intersect(s, o, d, t_max, active, any_hit)
+
+
+def is_worthwhile(s: Structure, o: list[Any], d: list[Any]) -> bool:
+    """Tell whether rays are many, in memory and apart, and there are leaves to find.
+
+    Never inside of a recorded loop or function, where there is no memory to look at.
+    """
+    if not (s.has_affine or s.has_projective) or s.leaf_count < _FEW_LEAVES:
+        return False
+    if any(dr.flag(flag) for flag in _RECORDING):
+        return False
+    ty = types_of(o[0])
+    # measured with LLVM only
+    if dr.backend_v(ty.Float) != dr.JitBackend.LLVM:
+        return False
+    rays = [*o, *d]
+    if max(dr.width(x) for x in rays) < _FEW:
+        return False
+    known = (dr.VarState.Evaluated, dr.VarState.Literal)
+    return all(x.state in known for x in rays) and _distance(s, ty, o, d) > _APART
+
+
+def intersect_batch(
+    s: Structure, o: Any, d: Any, t_max: Any, active: Any = True, any_hit: bool = False
+) -> Hit:
+    """Intersect rays with all leaves; see `traverse.intersect`.
+
+    Takes some 80 bytes a ray while it is at work, but not for more than `_AT_ONCE` rays.
+    """
+    ty = types_of(o[0])
+    count = max(dr.width(x) for x in (*o, *d, t_max, active))
+    rays = _Rays(
+        [_in_memory(ty.Float(o[i]), count) for i in range(3)],
+        [_in_memory(ty.Float(d[i]), count) for i in range(3)],
+    )
+    # what no hit is before: rays that are none, or not to be traced
+    t = dr.select(ty.Bool(active) & is_ray(rays.o, rays.d, t_max), ty.Float(t_max), 0.0)
+    leaf, u, v = dr.full(ty.UInt, NO_LEAF, count), *(dr.zeros(ty.Float, count) for _ in range(2))
+    nearest = _Nearest(_in_memory(t, count), leaf, u, v)
+    dr.make_opaque(rays, nearest)
+    for start in range(0, count, _AT_ONCE):
+        queue = _Queue(min(_AT_ONCE, count - start))
+        if queue.count < count:
+            queue.ray = dr.arange(ty.UInt, queue.count) + dr.opaque(ty.UInt, start)
+            dr.eval(queue.ray)
+        _trace(s, ty, rays, nearest, queue, any_hit)
+    return finish(
+        s, ty, nearest.t, nearest.leaf, nearest.u, nearest.v, dr.full(ty.Bool, True, count), any_hit
+    )
+
+
+@dataclass
+class _Rays:
+    """Rays in memory."""
+
+    o: list[Any]
+    d: list[Any]
+
+    def at(self, ray: Any, t: Any, active: Any = True) -> tuple[list[Any], list[Any], Any]:
+        """Return origins, directions and ends of rays by their numbers."""
+        o, d = ([dr.gather(type(x), x, ray, active) for x in xs] for xs in (self.o, self.d))
+        return o, d, dr.gather(type(t), t, ray, active)
+
+
+@dataclass
+class _Nearest:
+    """The nearest hits so far, of all rays."""
+
+    t: Any
+    leaf: Any  #: UInt, `NO_LEAF` at none
+    u: Any  #: of the leaf
+    v: Any
+
+    def update(self, ray: Any, hit: Any, t: Any, u: Any, v: Any, leaf: Any) -> None:
+        """Write down hits of rays, by their numbers."""
+        for array, value in ((self.t, t), (self.leaf, leaf), (self.u, u), (self.v, v)):
+            dr.scatter(array, value, ray, hit)
+
+
+@dataclass
+class _Queue:
+    """Rays that wait for lanes."""
+
+    count: int
+    ray: Any = None  #: their numbers; None: all rays
+    walk: Any = None  #: Walk: where they are, by place in the queue; None: at the beginning
+
+
+@dataclass
+class _Lane:
+    """What the lanes of a packet are at."""
+
+    next: Any  #: UInt: the place in the queue of the ray that comes after
+    place: Any  #: that of this one, `NO_LEAF` if there is none
+    o: list[Any]
+    d: list[Any]
+    t: Any
+    slabs: Slabs
+    walk: Walk
+    leaf: Any  #: the one that may be hit, or `NO_LEAF`
+
+
+def _trace(
+    s: Structure, ty: Types, rays: _Rays, nearest: _Nearest, queue: _Queue, any_hit: bool
+) -> None:
+    """Trace the rays of a queue."""
+    for _round in range(_ROUNDS):
+        found, walk = _walk_to_candidates(s, ty, rays, nearest.t, queue)
+        place = dr.compress(found != NO_LEAF)
+        if not dr.width(place):
+            return
+        ray = place if queue.ray is None else dr.gather(ty.UInt, queue.ray, place)
+        o, d, t_max = rays.at(ray, nearest.t)
+        index = dr.gather(ty.UInt, found, place)
+        line, candidate = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True))
+        hit, t, u, v, leaf = meet(s, ty, index, line, o, d, t_max, candidate)
+        nearest.update(ray, hit, t, u, v, leaf)
+        node, leaves = (dr.gather(ty.UInt, x, place) for x in (walk.node, walk.leaves))
+        on = ((node | leaves) != 0) & ~(hit & any_hit)
+        dr.eval(nearest, on, ray)
+        rest = dr.compress(on)
+        if not dr.width(rest):
+            return
+        place, ray = (dr.gather(ty.UInt, x, rest) for x in (place, ray))
+        walk = Walk(*(dr.gather(type(x), x, place) for _k, x in _fields(walk)))
+        dr.eval(ray, walk)
+        queue = _Queue(dr.width(rest), ray, walk)
+        if queue.count < _FEW:
+            break
+    o, d, t_max = rays.at(queue.ray, nearest.t)
+    slabs = prepare(ty, o, d)
+    t, leaf, u, v = search(
+        s, ty, o, d, slabs, t_max, ty.UInt(0), queue.walk, ty.Bool(True), any_hit
+    )
+    nearest.update(queue.ray, leaf != NO_LEAF, t, u, v, leaf)
+    dr.eval(nearest)
+
+
+def _walk_to_candidates(
+    s: Structure, ty: Types, rays: _Rays, t: Any, queue: _Queue
+) -> tuple[Any, Walk]:
+    """Take each ray of a queue to its next leaf that it may hit.
+
+    Returns
+    -------
+    leaf : UInt
+        By place in the queue, `NO_LEAF` where there is none.
+    walk : Walk
+        Where the others may go on; arbitrary in the first.
+    """
+    count = queue.count
+    # at least a hundred packets for each thread, so that none waits for long
+    share = max(1, min(_SHARE, count // (100 * _PACKET * dr.thread_count())))
+    lanes = -(-count // (share * _PACKET)) * _PACKET
+    lane = dr.arange(ty.UInt, lanes)
+    # data, not code: a kernel serves all counts
+    size, end = (dr.opaque(ty.UInt, x) for x in (share * _PACKET, count))
+    start = (lane // _PACKET) * size + lane % _PACKET
+    end = dr.minimum((lane // _PACKET + 1) * size, end)
+    first = ty.UInt(0)
+    state = dr.uint64_array_t(ty.UInt) if s.nodes.deep else ty.UInt
+    leaf_out = dr.empty(ty.UInt, count)
+    walk_out = Walk(*(dr.empty(x, count) for x in (ty.UInt, state, state, ty.UInt)))
+    dr.make_opaque(leaf_out, walk_out)
+
+    def next_ray(lane):
+        """Put away what was found, and take the next ray."""
+        done = lane.place != NO_LEAF
+        dr.scatter(leaf_out, lane.leaf, lane.place, done)
+        done = done & (lane.leaf != NO_LEAF)
+        for k, x in _fields(walk_out):
+            dr.scatter(x, getattr(lane.walk, k), lane.place, done)
+        place = dr.select(lane.next < end, lane.next, NO_LEAF)
+        known = place != NO_LEAF
+        ray = place if queue.ray is None else dr.gather(ty.UInt, queue.ray, place, known)
+        o, d, t_max = rays.at(ray, t, known)
+        slabs = prepare(ty, o, d)
+        if queue.walk is None:
+            walk = begin(ty, s.nodes, slabs, t_max)
+            known = known & (t_max > 0.0)
+            walk.node = dr.select(known, walk.node, 0)
+            walk.leaves = dr.select(known, walk.leaves, 0)
+        else:
+            walk = Walk(*(dr.gather(type(x), x, place, known) for _k, x in _fields(queue.walk)))
+        return _Lane(lane.next + _PACKET, place, o, d, t_max, slabs, walk, ty.UInt(NO_LEAF))
+
+    def body(run, lane):
+        needs = run & (~lane.walk.goes_on() | (lane.leaf != NO_LEAF))
+        lane = dr.if_stmt(
+            args=(lane,),
+            cond=needs,
+            true_fn=next_ray,
+            false_fn=lambda lane: lane,
+            label="bezier next ray",
+        )
+        run = run & (lane.place != NO_LEAF)
+        walk = walk_to_leaves(s.nodes, ty, first, lane.walk, lane.slabs, lane.t, run, _NODES)
+
+        def look(walk, o, d, t):
+            leaves, leaf, _line = take_candidate(s, ty, first, walk.leaves, o, d, t, run)
+            return replace(walk, leaves=leaves), leaf
+
+        walk, leaf = dr.if_stmt(
+            args=(walk, lane.o, lane.d, lane.t),
+            cond=run & (walk.leaves != 0),
+            true_fn=look,
+            false_fn=lambda walk, _o, _d, _t: (walk, ty.UInt(NO_LEAF)),
+            label="bezier leaves",
+        )
+        return run, replace(lane, walk=walk, leaf=leaf)
+
+    none = dr.full(ty.UInt, NO_LEAF, lanes)
+    zeros = [dr.zeros(ty.Float, lanes)] * 3
+    nowhere = Walk(*(dr.zeros(type(x), lanes) for _k, x in _fields(walk_out)))
+    slabs = prepare(ty, zeros, zeros)
+    begins = _Lane(start, none, zeros, zeros, zeros[0], slabs, nowhere, none)
+    dr.while_loop(
+        (start < end, begins),
+        cond=lambda run, _lane: run,
+        body=body,
+        labels=("run", "lane"),
+        label="bezier batch",
+    )
+    dr.eval(leaf_out, walk_out)
+    return leaf_out, walk_out
+
+
+def _fields(walk: Walk) -> list[tuple[str, Any]]:
+    """Return the names and arrays of a walk."""
+    return list(vars(walk).items())
+
+
+def _in_memory(values: Any, count: int) -> Any:
+    """Return an array of `count` values, which is in memory or can be."""
+    if dr.width(values) == count:
+        return values
+    array = dr.empty(type(values), count)
+    dr.scatter(array, values, dr.arange(dr.uint32_array_t(type(values)), count))
+    return array
+
+
+def _distance(s: Structure, ty: Types, o: list[Any], d: list[Any]) -> float:
+    """Return how far apart neighbours among rays are, at most 1, in the mean of a sample.
+
+    That is the distance of their points nearest the centre of the scene's box, over its diagonal,
+    and half that of their directions.
+    """
+    count = max(dr.width(x) for x in (*o, *d))
+    low, high = s.nodes.bounds[:3], s.nodes.bounds[3:]
+    diagonal2 = dot3(*[[high[a] - low[a] for a in range(3)]] * 2)
+    samples = min(_SAMPLES, count // 2)
+    first = dr.arange(ty.UInt, samples) * dr.opaque(ty.UInt, count // samples)
+
+    def ray(number):
+        def at(x):
+            return ty.Float(x) if dr.width(x) == 1 else dr.gather(ty.Float, x, number)
+
+        return [at(x) for x in o], [at(x) for x in d]
+
+    points, directions = [], []
+    for number in (first, first + 1):
+        o_i, d_i = ray(number)
+        inverse = dr.rsqrt(dot3(d_i, d_i))
+        unit = [x * inverse for x in d_i]
+        away = [0.5 * (low[a] + high[a]) - o_i[a] for a in range(3)]
+        ahead = dr.maximum(dot3(away, unit), 0.0)
+        points.append([dr.fma(ahead, unit[a], o_i[a]) for a in range(3)])
+        directions.append(unit)
+    apart, turned = ([y - x for x, y in zip(*pair)] for pair in (points, directions))
+    distance = dr.sqrt(dot3(apart, apart) / diagonal2) + 0.5 * dr.sqrt(dot3(turned, turned))
+    # rays that are none, and scenes without end, count as near
+    distance = dr.select(distance > 0.0, dr.minimum(distance, 1.0), 0.0)
+    return float(dr.mean(distance)[0])
