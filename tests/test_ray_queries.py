@@ -549,3 +549,25 @@ def test_other_variants(other_variant):
     si = mb.ray_intersect(scene, ray)
     assert numbers(si.is_valid()).all()
     assert (numbers(mb.ray_test(scene, ray))).all()
+
+
+def test_evaluated_loops_are_the_users_own():
+    # to look into loops one lets them be evaluated; ours would launch hundreds of kernels then
+    torus = mi.load_dict(bezier(mb.torus()))
+    ray = ray_of(*ball_rays(1000, seed=3))
+    expected = numbers(torus.ray_intersect_preliminary(ray).t)
+    flags = (dr.JitFlag.SymbolicLoops, dr.JitFlag.SymbolicConditionals, dr.JitFlag.KernelHistory)
+    with (
+        dr.scoped_set_flag(flags[0], False),
+        dr.scoped_set_flag(flags[1], False),
+        dr.scoped_set_flag(flags[2], True),
+    ):
+        dr.kernel_history_clear()
+        t = torus.ray_intersect_preliminary(ray).t
+        blocked = torus.ray_test(ray)
+        dr.eval(t, blocked)
+        kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+        assert not dr.flag(flags[0]) and not dr.flag(flags[1])
+    np.testing.assert_array_equal(numbers(t), expected)
+    np.testing.assert_array_equal(numbers(blocked), np.isfinite(expected))
+    assert len(kernels) < 10  # uploads among them

@@ -142,7 +142,7 @@ class SceneData:
         self, ray: Any, active: Any = True, pi: Any = None, coherent: bool = False
     ) -> Preliminary:
         """Return the nearest hit, of `pi` (Mitsuba's own, if given) and of our patches."""
-        with dr.suspend_grad():
+        with _recorded():
             ray_maxt = mi.Float(ray.maxt) if pi is None else dr.minimum(ray.maxt, pi.t)
             hit, copy = self._nearest(ray, ray_maxt, active, False, coherent)
             valid = mi.Bool(hit.valid)
@@ -172,7 +172,7 @@ class SceneData:
 
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether a ray hits any patch before ``ray.maxt``."""
-        with dr.suspend_grad():
+        with _recorded():
             hit, _copy = self._nearest(ray, ray.maxt, active, True, False)
             return mi.Bool(hit.valid)
 
@@ -237,6 +237,19 @@ class SceneData:
                 masks.append(bits.reshape(-1, 3) @ np.array([1, 2, 4], dtype=np.uint32))
             self._open_edges = upload(mi.UInt32, np.concatenate(masks))
         return self._open_edges
+
+
+@contextmanager
+def _recorded() -> Iterator[None]:
+    """Let kernels have no derivatives, and record their loops whatever the flags say.
+
+    Evaluated loops, for finding mistakes in one's own, would launch a kernel for each of ours'
+    steps.
+    """
+    recorded = (dr.JitFlag.SymbolicLoops, dr.JitFlag.SymbolicConditionals)
+    loops, conditionals = (dr.scoped_set_flag(flag, True) for flag in recorded)
+    with dr.suspend_grad(), loops, conditionals:
+        yield
 
 
 def _leaves_of(shape: Any, remember: bool) -> Leaves:
