@@ -161,7 +161,7 @@ def test_records_hold_boxes_in_float64_within_a_unit():
             continue
         code = (words[7] >> (8 * np.arange(3))) & 255
         unit = 2.0 ** (code // 2 - 63.0) * (1 + code % 2 / 2)
-        origin = words[:3].view(np.float32).astype(float)
+        origin = words[:3].view(np.float32).astype(float) + np.array(nodes_module.SCALE) * unit
         for c in range(4):
             child = 4 * k + c
             leaf = bool(words[7] >> (28 + c) & 1)
@@ -169,8 +169,10 @@ def test_records_hold_boxes_in_float64_within_a_unit():
                 continue
             if leaf and tree.leaf[child] == NO_LEAF:
                 child //= 2  # a leaf at an odd depth
-            low = np.array([words[3 + c] >> b & 31 for b in nodes_module.LOW])
-            high = np.array([words[3 + c] >> b & 31 for b in nodes_module.HIGH])
+            word, turn = int(words[3 + c]), nodes_module.TURN
+            turned = word << turn | word >> (32 - turn)
+            low = np.array([word >> b & 31 for b in nodes_module.FACE])
+            high = np.array([turned >> b & 31 for b in nodes_module.FACE])
             inner, outer = tree.bounds[child], origin + np.array([low, high]) * unit
             assert (outer[0] <= inner[0]).all() and (inner[1] <= outer[1]).all()
             assert (np.abs(outer - inner) <= 1.01 * unit).all()

@@ -12,25 +12,41 @@ from ..errors import BezierError
 from ..geometry.tree import NO_LEAF, Tree, build_tree
 from .arrays import Types, upload
 
-__all__ = ["HIGH", "INNER", "LEAF", "LOW", "NODE", "STEPS", "Nodes", "build_nodes"]
+__all__ = [
+    "AXIS",
+    "FACE",
+    "INNER",
+    "LEAF",
+    "NODE",
+    "SCALE",
+    "STEPS",
+    "TURN",
+    "Nodes",
+    "build_nodes",
+]
 
 #: Floats in the record of a node: origin of its box 3; a word for each of its four children; a word
 #: with the units of the three axes (`_units`) and which children are nodes (`INNER`) and leaves
 #: (`LEAF`), four bits each. A child's word has the faces of its box in units from the origin, five
-#: bits each, and on top, in that of child `k` < 3, the axis along which two parts of the node are
-#: in order: its two pairs of children, the first pair, the second pair.
+#: bits each: the low ones from the bits `FACE` on, the high ones as well once the word is turned
+#: to the left by `TURN`. That of child `k` < 3 has, from the bit `AXIS` on, the axis along which
+#: two parts of the node are in order: its two pairs of children, the first pair, the second pair.
 NODE = 8
-#: The first bits of the low and of the high face of each axis in a child's word.
-LOW, HIGH = (20, 10, 0), (25, 15, 5)
+FACE, TURN, AXIS = (18, 13, 8), 15, 23
+#: The bits of a face are left where they are, as those of the mantissa of a float, 1 + k / SCALE
+#: for the face k. The origin is stored less so many units.
+SCALE = tuple(1 << (23 - bit) for bit in FACE)
 #: The first bits of the nibbles in a record's last word.
 INNER, LEAF = 24, 28
 #: Most units from the origin. If `Nodes.unbounded`, none and all stand for infinite faces.
 STEPS = 31
 
-#: Infinite faces count as this far away: the most that does not overflow with `walk._LARGEST`.
-_FAR = 1e16
-#: What rounding may take from a face in the kernel, in units: 8 roundings of 64, and as many again.
-_SLACK = 1e-4
+#: Infinite faces count as this far away: times the largest `SCALE`, about the most that does not
+#: overflow with `walk._LARGEST`.
+_FAR = 1e12
+#: What rounding may take from a face in the kernel, in units: 8 roundings of the numbers that it is
+#: the difference of, and as many again.
+_SLACK = np.array([1e-6 * (scale + 64) for scale in SCALE])
 #: A tree whose nodes have more levels has the state of its walks in 64 bits.
 _SHALLOW = 9
 #: Numbers of nodes are below this: a walk's leaves share a word with 7 other bits.
@@ -117,27 +133,37 @@ def _records(tree: Tree, unbounded: bool) -> np.ndarray:
     lowest, highest = (np.where(np.isfinite(x), x, 0.0) for x in (lowest, highest))
     # the origin is rounded down, by up to two units in its last place
     ulp = np.spacing(np.abs(lowest).astype(np.float32)).astype(np.float64)
-    code, unit = _units((highest - lowest + 2 * ulp) / (STEPS - 0.1 - 2 * unbounded))
+    code, unit = _units((highest - lowest + 2 * ulp) / (STEPS - 0.2 - 2 * unbounded))
     # a little lower, so that the slack is there at the lowest step as well
-    origin = lowest - (unbounded + 2 * _SLACK) * unit
+    before = np.array(SCALE) * unit
+    origin = lowest - (unbounded + 2 * _SLACK) * unit - before
     origin = np.nextafter(origin.astype(np.float32), np.float32(-np.inf))
-    steps = np.where(beside, lowest[:, None, None], boxes) - origin[:, None, None].astype(float)
-    steps /= unit[:, None, None]
+    steps = np.where(beside, lowest[:, None, None], boxes)
+    steps = (steps - (origin.astype(float) + before)[:, None, None]) / unit[:, None, None]
     low = np.floor(steps[:, :, 0] - _SLACK).astype(np.uint32)
     high = np.ceil(steps[:, :, 1] + _SLACK).astype(np.uint32)
     low[infinite[:, :, 0]], high[infinite[:, :, 1]] = 0, STEPS
     out[inner, 0:3] = origin.view(np.uint32)
     for c in range(4):
-        for a in range(3):
-            out[inner, 3 + c] |= low[:, c, a] << np.uint32(LOW[a])
-            out[inner, 3 + c] |= high[:, c, a] << np.uint32(HIGH[a])
+        out[inner, 3 + c] = _faces(low[:, c]) | _turned(_faces(high[:, c]))
         out[inner, 7] |= is_inner[:, c].astype(np.uint32) << np.uint32(INNER + c)
         out[inner, 7] |= is_leaf[:, c].astype(np.uint32) << np.uint32(LEAF + c)
     for k, axis in enumerate(_axes(boxes)):
-        out[inner, 3 + k] |= axis.astype(np.uint32) << np.uint32(30)
+        out[inner, 3 + k] |= axis.astype(np.uint32) << np.uint32(AXIS)
     for a in range(3):
         out[inner, 7] |= code[:, a] << np.uint32(8 * a)
     return out
+
+
+def _faces(steps: np.ndarray) -> np.ndarray:
+    """Return words with the faces ``(I, 3)`` from `FACE` on."""
+    x, y, z = (steps[:, a] << np.uint32(FACE[a]) for a in range(3))
+    return x | y | z
+
+
+def _turned(words: np.ndarray) -> np.ndarray:
+    """Return words turned to the right by `TURN`."""
+    return (words >> np.uint32(TURN)) | (words << np.uint32(32 - TURN))
 
 
 def _children(tree: Tree, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

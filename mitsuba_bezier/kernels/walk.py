@@ -9,7 +9,7 @@ import drjit as dr
 
 from ..geometry.tree import NO_LEAF
 from .arrays import Types, gather_packets
-from .nodes import HIGH, INNER, LOW, NODE, STEPS, Nodes
+from .nodes import AXIS, FACE, INNER, NODE, SCALE, STEPS, TURN, Nodes
 
 __all__ = [
     "Slabs",
@@ -31,10 +31,6 @@ _LARGEST = 1e20
 _ROUNDING = 4.0 * 6e-8
 _GROW = 1.0 + 2.0 * _ROUNDING
 
-#: The five bits of a face become the first of a float's mantissa.
-_MANTISSA = 18
-_FACE = STEPS << _MANTISSA
-
 
 @dataclass
 class Slabs:
@@ -44,7 +40,7 @@ class Slabs:
     rcp_far: list[Any]  #: the same, a little more
     near: list[Any]  #: ``-o rcp``, a little less
     far: list[Any]  #: ``-o rcp_far``, a little more
-    shifts: list[tuple[Any, Any]]  #: that take the near and the far face of a word to `_MANTISSA`
+    forward: Any  #: UInt: the bits of the faces along axes whose low faces are the near ones
     backward: Any  #: UInt: bit `a` tells that the direction's component `a` is negative
 
 
@@ -76,13 +72,12 @@ def prepare(ty: Types, o: list[Any], d: list[Any]) -> Slabs:
     rcp_far = [r * _GROW for r in rcp]
     near = [-dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, o[a] * rcp[a]) for a in range(3)]
     far = [dr.fma(dr.abs(o[a] * rcp_far[a]), _ROUNDING, -o[a] * rcp_far[a]) for a in range(3)]
-    shifts, backward = [], ty.UInt(0)
+    forward, backward = ty.UInt(0), ty.UInt(0)
     for a in range(3):
         turned = rcp[a] < 0.0  # then the high face is the near one
+        forward = forward | dr.select(turned, 0, ty.UInt(_bits(a)))
         backward = backward | dr.select(turned, ty.UInt(1 << a), 0)
-        low, high = (ty.UInt(abs(first - _MANTISSA)) for first in (LOW[a], HIGH[a]))
-        shifts.append((dr.select(turned, high, low), dr.select(turned, low, high)))
-    return Slabs(rcp, rcp_far, near, far, shifts, backward)
+    return Slabs(rcp, rcp_far, near, far, forward, backward)
 
 
 def begin(ty: Types, nodes: Nodes, slabs: Slabs, t_max: Any) -> Walk:
@@ -190,27 +185,29 @@ def _step(
     words = [dr.reinterpret_array(ty.UInt, word) for word in record[3:]]
     units = words.pop()
     node, pending, turns_back = _up(ty, walk)
-    later = [((slabs.backward >> (word >> 30)) & 1) != 0 for word in words[:3]]
+    later = [((slabs.backward >> ((word >> AXIS) & 3)) & 1) != 0 for word in words[:3]]
     turns, children, places, kinds = _order(ty, later, units >> INNER)
 
+    # near and far faces, in the same places
+    high = [(word << TURN) | (word >> (32 - TURN)) for word in words]
+    nears = [(w & slabs.forward) | (h & ~slabs.forward) for w, h in zip(words, high)]
+    fars = [(h & slabs.forward) | (w & ~slabs.forward) for w, h in zip(words, high)]
     enter, leave = [dr.zeros(ty.Float)] * 4, [t_max] * 4
     for a in range(3):
         # eight bits from 22 on: half of the exponent, less 64, and the first of the mantissa
         bits = ((units << (22 - 8 * a)) & 0x3FC00000) + 0x20000000
         unit = ty.Float(dr.reinterpret_array(ty.Float32, bits))
-        origin, shifts = ty.Float(record[a]), slabs.shifts[a]
-        # faces come as 1 + b / 32
-        in_unit, out_unit = unit * (slabs.rcp[a] * 32.0), unit * (slabs.rcp_far[a] * 32.0)
-        near = dr.fma(origin, slabs.rcp[a], slabs.near[a]) - in_unit
-        far = dr.fma(origin, slabs.rcp_far[a], slabs.far[a]) - out_unit
+        origin, scale = ty.Float(record[a]), float(SCALE[a])
+        in_unit, out_unit = unit * (slabs.rcp[a] * scale), unit * (slabs.rcp_far[a] * scale)
+        near = dr.fma(origin, slabs.rcp[a], slabs.near[a])
+        far = dr.fma(origin, slabs.rcp_far[a], slabs.far[a])
         for c in range(4):
-            low, high = (words[c] >> x if LOW[a] > _MANTISSA else words[c] << x for x in shifts)
-            t_near = dr.fma(_face(ty, low), in_unit, near)
-            t_far = dr.fma(_face(ty, high), out_unit, far)
+            t_near = dr.fma(_face(ty, nears[c], a), in_unit, near)
+            t_far = dr.fma(_face(ty, fars[c], a), out_unit, far)
             cuts_near, cuts_far = t_near > enter[c], t_far < leave[c]
             if unbounded:
-                cuts_near &= _is_finite(low)
-                cuts_far &= _is_finite(high)
+                cuts_near &= _is_finite(nears[c], a)
+                cuts_far &= _is_finite(fars[c], a)
             enter[c] = dr.select(cuts_near, t_near, enter[c])
             leave[c] = dr.select(cuts_far, t_far, leave[c])
     hit = [dr.select(enter[c] <= leave[c], places[c], none) for c in range(4)]
@@ -286,11 +283,17 @@ def _child(place: Any, turns: Any) -> Any:
     return (pair << 1) | ((place ^ (turns >> (pair + 1))) & 1)
 
 
-def _face(ty: Types, shifted: Any) -> Any:
-    """Return 1 + b / 32 for the five bits `b` from `_MANTISSA` on."""
-    return ty.Float(dr.reinterpret_array(ty.Float32, (shifted & _FACE) | 0x3F800000))
+def _bits(axis: int) -> int:
+    """Return which bits are those of a face."""
+    return STEPS << FACE[axis]
 
 
-def _is_finite(shifted: Any) -> Any:
-    """Tell whether these bits are neither all zero nor all one."""
-    return ((shifted + (1 << _MANTISSA)) & (_FACE - (1 << _MANTISSA))) != 0
+def _face(ty: Types, faces: Any, axis: int) -> Any:
+    """Return 1 + k / `SCALE` for the face `k` along an axis."""
+    return ty.Float(dr.reinterpret_array(ty.Float32, (faces & _bits(axis)) | 0x3F800000))
+
+
+def _is_finite(faces: Any, axis: int) -> Any:
+    """Tell whether the bits of a face are neither all zero nor all one."""
+    lowest = 1 << FACE[axis]
+    return ((faces + lowest) & (_bits(axis) - lowest)) != 0
