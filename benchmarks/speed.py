@@ -26,6 +26,7 @@ from speed_report import markdown, print_sections, update_blocks
 #: Tables: module, function that measures, function that lays out.
 TABLES = {
     "rays": ("speed_rays", "measure", "sections"),
+    "batch": ("speed_batch", "measure", "sections"),
     "order": ("speed_rays", "measure_order", "order_sections"),
     "reads": ("speed_counts", "measure", "sections"),
     "compile": ("speed_compile", "measure", "sections"),

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 COMMAND = ROOT / "benchmarks" / "speed.py"
 PAGE = ROOT / "docs" / "performance.md"
 
-TABLES = ["rays", "order", "reads", "compile", "render", "scale", "memory"]
+TABLES = ["rays", "batch", "order", "reads", "compile", "render", "scale", "memory"]
 SPHERES = ["sphere, tetrahedral", "sphere, octants", "sphere, general"]
 SURFACES = [*SPHERES, "torus", "teapot"]
 MESHES = ["mesh 65k", "mesh 1M", "mesh 16M"]
@@ -89,6 +89,21 @@ def test_order_of_rays(trial):
     rows = trial[0]["tables"]["order"]
     orders = ["scanlines", "tiles of 4 x 4", "tiles of 8 x 4", "Morton", "shuffled"]
     assert [(r["surface"], r["order"]) for r in rows] == [(s, o) for s in SURFACES for o in orders]
+
+
+def test_rays_traced_at_once(trial):
+    rows = trial[0]["tables"]["batch"]
+    kinds = list(dict.fromkeys(r["rays"] for r in rows))
+    assert [(r["rays"], r["surface"]) for r in rows] == [
+        (k, s) for k in kinds for s in ("sphere, general", "torus", "teapot")
+    ]
+    apart = [r["apart"] for r in rows if r["surface"] == "torus"]
+    assert apart == sorted(apart) and apart[-1] > 0.3  # the last are random
+    assert not any(r["chosen"] for r in rows)  # too few in a trial run
+    for r in rows:
+        for query in ("closest", "any"):
+            ratio = r[f"{query}, batch"] / r[f"{query}, each"]
+            assert ratio == pytest.approx(r[query], rel=1e-9) and ratio > 0
 
 
 def test_reads(trial):
