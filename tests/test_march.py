@@ -233,3 +233,30 @@ def test_no_leaf_is_culled_that_is_met(surface):
     begin = np.array(line.base) + np.array(line.tau, dtype=np.float64)
     slack = 0.01 / np.linalg.norm(e[judged], axis=1)
     assert (begin <= far[judged] + slack).all()
+
+
+@pytest.mark.parametrize("cover", ["octants", "tetrahedral"])
+def test_grazing_hits(cover):
+    rng = np.random.default_rng(5)
+    count = 200_000
+    o = rng.normal(size=(count, 3))
+    o = (3.0 * o / np.linalg.norm(o, axis=1, keepdims=True)).astype(np.float32)
+    # so far from the middle, as seen from `o`
+    side = np.cross(o, rng.normal(size=(count, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    # further in than float32 directions and control points move the silhouette
+    sine = (1.0 - 10.0 ** rng.uniform(-5.3, -3.5, (count, 1))) / 3.0
+    d = (-o / 3.0 * np.sqrt(1 - sine**2) + sine * side).astype(np.float32)
+    first = analytic.sphere((0, 0, 0), 1.0, o, d).first()
+    patches = mb.sphere(cover=cover)
+    structure = build_structure(build_leaves(patches, GENERAL), Float)
+    columns = [[Float(np.ascontiguousarray(a[:, i])) for i in range(3)] for a in (o, d)]
+    hit = intersect(structure, *columns, Float(np.inf))
+    t, u, v = (np.array(x, dtype=np.float64) for x in (hit.t, hit.u, hit.v))
+    assert np.isfinite(first).all() and np.isfinite(t).all()
+    # the cosine is 0.003 and more: what rounding the net may move the surface by, 2e-8 of the
+    # radius, is 300 times as much along the ray; without the step in float64 it is 2.8e-5
+    assert np.abs(t - first).max() < 7e-6
+    points = patches.points(np.array(hit.patch), np.stack([u, v], axis=1))
+    # (u, v) are float32, and t as above
+    assert np.linalg.norm(o + t[:, None] * d - points, axis=1).max() < 8e-6

@@ -103,14 +103,20 @@ def _point(ty: Types, record: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
 
 
 def affine_line(
-    ty: Types, record: list[Any], base: Any, o: Any, d: Any
+    ty: Types, record: list[Any], base: Any, o: Any, d: Any, wide: bool = False
 ) -> tuple[list[Any], list[Any]]:
-    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero."""
+    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero.
+
+    `x0` is found in float64; both are float64 if `wide`.
+    """
     f64 = ty.Float64
     near = _point(ty, record, base, o, d)
     rows = _rows(record)
-    x0 = [ty.Float(dot3([f64(x) for x in row], near)) for row in rows]
-    return x0, [dot3(row, d) for row in rows]
+    wide_rows = [[f64(x) for x in row] for row in rows]
+    x0 = [dot3(row, near) for row in wide_rows]
+    if wide:
+        return x0, [dot3(row, [f64(d[i]) for i in range(3)]) for row in wide_rows]
+    return [ty.Float(x) for x in x0], [dot3(row, d) for row in rows]
 
 
 def projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, ...]:

@@ -13,6 +13,7 @@ from ..geometry import bernstein
 from ..geometry.leaves import BENDING_LIMIT, SIZES
 from .arrays import Types, gather_packets, types_of
 from .chart import ChartLine, affine_line, projective_line, root_fraction
+from .grazing import polish
 from .net import horner
 from .quadric import edge_tolerance
 from .structure import AFFINE, HEAD, PROJECTIVE, Structure
@@ -65,7 +66,7 @@ def _march_affine(
     record = gather_packets(s.affine, leaf, AFFINE, active)
     data = gather_packets(s.nets, leaf, HEAD + bernstein.size(s.degree) * s.components, active)
     x0, e = affine_line(ty, record, line.base, o, d)
-    return _march(
+    hit, t, u, v, closing = _march(
         s.degree,
         data,
         record[12:15],
@@ -79,6 +80,7 @@ def _march_affine(
         t_max,
         active,
     )
+    return hit, *polish(s, ty, leaf, line.base, o, d, (t, u, v, closing), hit)
 
 
 def _march_projective(
@@ -88,7 +90,7 @@ def _march_projective(
     record = gather_packets(s.projective, leaf, PROJECTIVE, active)
     data = gather_packets(s.far_nets, leaf, HEAD + bernstein.size(s.degree) * 4, active)
     x0, e, to_t, both = projective_line(ty, record, o, d)
-    hit, t, u, v = _march(
+    hit, t, u, v, _closing = _march(
         s.degree,
         data,
         record[20:23],
@@ -118,8 +120,11 @@ def _march(
     kept: Any,
     t_max: Any,
     active: Any,
-) -> tuple[Any, Any, Any, Any]:
+) -> tuple[Any, Any, Any, Any, Any]:
     """March along ``x0 + tau e``, in the precision of these.
+
+    Returns hit, ray parameter and leaf barycentrics as `march`, and how fast the ray comes nearer
+    to the surface there: leaf sizes for each unit of the ray parameter.
 
     The march keeps a chart parameter ``tau`` before which there is no (further) meeting with
     the surface. It steps to the first zero of the quadratic lower bound that the value, the
@@ -230,7 +235,7 @@ def _march(
         go = go & ~root & exists & (tau <= end) & (step < MAX_STEPS)
         return go, step, tau, u, v, sign, root, slope, dr.fma(zu, zu, dr.fma(zv, zv, 1.0))
 
-    def body(run, step, tau, u, v, sign, hit, best, best_u, best_v):
+    def body(run, step, tau, u, v, sign, hit, best, best_u, best_v, best_closing):
         one = dr.full(ty.Float, 1.0)
         _go, step, tau, u, v, sign, root, slope, normal2 = dr.while_loop(
             (run, step, tau, u, v, sign, ty.Bool(False), one, one),
@@ -241,7 +246,8 @@ def _march(
         )
         # a root: is it ours?
         slope = dr.abs(slope)
-        tolerance = edge_tolerance(slope * dr.rsqrt(speed2 * normal2))
+        closing = slope * dr.rsqrt(normal2)
+        tolerance = edge_tolerance(closing * dr.rcp(speed))
         inside = dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance
         t = parameter(tau)
         accept = run & root & inside & (t > 0.0) & (t < best)
@@ -250,6 +256,7 @@ def _march(
         hit = hit | accept
         best = dr.select(accept, t, best)
         best_u, best_v = dr.select(accept, u, best_u), dr.select(accept, v, best_v)
+        best_closing = dr.select(accept, closing, best_closing)
 
         # go on from the other side of the surface, if the bound lets it come back
         back = dr.fma(sign, gamma, wobble)
@@ -257,18 +264,21 @@ def _march(
         tau = tau + slope / back
         u, v = held(*start(tau))
         run = run & (tau <= end) & (step < MAX_STEPS)
-        return run, step, tau, u, v, -sign, hit, best, best_u, best_v
+        return run, step, tau, u, v, -sign, hit, best, best_u, best_v, best_closing
 
     tau = ty.Float(line.tau)
     u, v = held(*start(tau))
     zero = dr.zeros(ty.Float)
     sign = ty.Float(line.sign)
-    state = (active, ty.UInt(0), tau, u, v, sign, ty.Bool(False), t_max, zero, zero)
-    _run, _step, _tau, _u, _v, _sign, hit, best, best_u, best_v = dr.while_loop(
+    state = (active, ty.UInt(0), tau, u, v, sign, ty.Bool(False), t_max, zero, zero, zero)
+    _run, _step, _tau, _u, _v, _sign, *results = dr.while_loop(
         state,
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "step", "tau", "u", "v", "sign", "hit", "best", "best_u", "best_v"),
+        labels=(
+            *("run", "step", "tau", "u", "v", "sign"),
+            *("hit", "best", "best_u", "best_v", "best_closing"),
+        ),
         label="bezier leaf march",
     )
-    return hit, best, best_u, best_v
+    return tuple(results)
