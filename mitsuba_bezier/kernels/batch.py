@@ -179,7 +179,7 @@ def _trace(
         o, d, t_max = rays.at(ray, nearest.t)
         index = dr.gather(ty.UInt, found, place)
         line, candidate = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True))
-        hit, t, u, v, leaf = meet(s, ty, index, line, o, d, t_max, candidate)
+        hit, t, u, v, leaf = meet(s, ty, index, line, o, d, t_max, candidate, any_hit)
         nearest.update(ray, hit, t, u, v, leaf)
         node, leaves = (dr.gather(ty.UInt, x, place) for x in (walk.node, walk.leaves))
         on = ((node | leaves) != 0) & ~(hit & any_hit)

@@ -33,9 +33,17 @@ MAX_STEPS = 1024
 
 
 def march(
-    s: Structure, ty: Types, leaf: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
+    s: Structure,
+    ty: Types,
+    leaf: Any,
+    line: ChartLine,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    any_hit: bool = False,
 ) -> tuple[Any, Any, Any, Any]:
-    """Find the first hit in a graph leaf.
+    """Find the first hit in a graph leaf; if `any_hit` is set, only whether there is one.
 
     Returns
     -------
@@ -46,13 +54,15 @@ def march(
         Leaf barycentrics.
     """
     if not s.has_projective:
-        return _march_affine(s, ty, leaf, line, o, d, t_max, active)
+        return _march_affine(s, ty, leaf, line, o, d, t_max, active, any_hit)
     if not s.has_affine:
         return _march_projective(s, ty, leaf - s.first_projective, line, o, d, t_max, active)
     return dr.if_stmt(
         args=(leaf, line, o, d, t_max, active),
         cond=leaf < s.first_projective,
-        true_fn=lambda leaf, line, o, d, t, a: _march_affine(s, ty, leaf, line, o, d, t, a),
+        true_fn=lambda leaf, line, o, d, t, a: _march_affine(
+            s, ty, leaf, line, o, d, t, a, any_hit
+        ),
         false_fn=lambda leaf, line, o, d, t, a: _march_projective(
             s, ty, leaf - s.first_projective, line, o, d, t, a
         ),
@@ -61,7 +71,15 @@ def march(
 
 
 def _march_affine(
-    s: Structure, ty: Types, leaf: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
+    s: Structure,
+    ty: Types,
+    leaf: Any,
+    line: ChartLine,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    any_hit: bool,
 ) -> tuple[Any, Any, Any, Any]:
     record = gather_packets(s.affine, leaf, AFFINE, active)
     data = gather_packets(s.nets, leaf, HEAD + bernstein.size(s.degree) * s.components, active)
@@ -80,6 +98,8 @@ def _march_affine(
         t_max,
         active,
     )
+    if any_hit:
+        return hit, t, u, v
     return hit, *polish(s, ty, leaf, line.base, o, d, (t, u, v, closing), hit)
 
 

@@ -96,7 +96,7 @@ def search(
         else:
             walk, index, line = candidate(walk, run)
         found = run & (index != NO_LEAF)
-        accept, t_new, u_new, v_new, leaf_new = meet(s, ty, index, line, o, d, t, found)
+        accept, t_new, u_new, v_new, leaf_new = meet(s, ty, index, line, o, d, t, found, any_hit)
         t = dr.select(accept, t_new, t)
         leaf = dr.select(accept, leaf_new, leaf)
         u, v = dr.select(accept, u_new, u), dr.select(accept, v_new, v)
@@ -117,9 +117,17 @@ def search(
 
 
 def meet(
-    s: Structure, ty: Types, index: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
+    s: Structure,
+    ty: Types,
+    index: Any,
+    line: ChartLine,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    any_hit: bool,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    """Find the first hit in a leaf, or in a group of exact ones.
+    """Find the first hit in a leaf, or in a group of exact ones; or only whether there is one.
 
     Returns
     -------
@@ -135,12 +143,12 @@ def meet(
             args=(active, index, line, t_max),
             cond=active & (index >= s.first_group),
             true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.first_group, o, d, t, m),
-            false_fn=lambda m, i, line, t: (*march(s, ty, i, line, o, d, t, m), i),
+            false_fn=lambda m, i, line, t: (*march(s, ty, i, line, o, d, t, m, any_hit), i),
             label="bezier leaf kind",
         )
     if s.has_groups:
         return group_hit(s, ty, index, o, d, t_max, active)
-    return (*march(s, ty, index, line, o, d, t_max, active), index)
+    return (*march(s, ty, index, line, o, d, t_max, active, any_hit), index)
 
 
 def finish(
