@@ -10,6 +10,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from ..errors import BezierError
+
 __all__ = ["Types", "dot3", "gather_packets", "types_of", "upload"]
 
 
@@ -55,7 +57,17 @@ def upload(array_type: Any, values: np.ndarray) -> Any:
     Packet gathers need 64-byte alignment and silently fall back without it; an array made
     straight from NumPy may alias memory that has less. What is copied is aligned, too: Dr.Jit
     would compile the copy anew for each alignment that NumPy happens to have.
+
+    Raises
+    ------
+    BezierError
+        While a function is frozen: Dr.Jit would end the process.
     """
+    if dr.flag(dr.JitFlag.FreezingScope):
+        raise BezierError(
+            "dr.freeze: expected a function that ran once before it was frozen, and after each "
+            "change of a shape, so that all tables are on the device; got a new one"
+        )
     values = np.asarray(values)
     memory = np.empty(values.nbytes + 64, dtype=np.uint8)
     first = -memory.ctypes.data % 64

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import BezierError
 from ..geometry import bernstein
+from ..kernels.arrays import upload
 from ..kernels.patch import evaluate, padded_width
 
 __all__ = ["attached_tables", "follow_ray", "is_attached"]
@@ -67,16 +68,26 @@ def _packed(shape: Any, degree: int) -> Any:
     flat = shape.control_points.array
     point = mi.Vector4f(*(dr.gather(mi.Float, flat, index + c) for c in range(4)))
     world = dr.ravel(mi.Matrix4f(shape.to_world.matrix) @ point)
-    source, weight = _elevation(bernstein.degree_of(rows), degree)
-    slots = source.shape[1]
+    terms = _on_device(shape, bernstein.degree_of(rows), degree)
+    slots = dr.width(terms[0][0])
     index = dr.arange(mi.UInt32, count * slots)
     patch, slot = index // slots, index % slots
     result = dr.zeros(mi.Float, count * slots)
-    for s, w in zip(source, weight):
-        there = dr.gather(mi.Float, mi.Float(w), slot)
-        row = dr.gather(mi.UInt32, mi.UInt32(s), slot)
+    for source, weight in terms:
+        there, row = dr.gather(mi.Float, weight, slot), dr.gather(mi.UInt32, source, slot)
         result += there * dr.gather(mi.Float, world, patch * (4 * rows) + row, there != 0)
     return result
+
+
+def _on_device(shape: Any, n: int, degree: int) -> list[tuple[Any, Any]]:
+    """Return what `_elevation` does, uploaded; shapes keep it, where frozen functions find it."""
+    key = f"{n} {degree}"
+    if key not in shape.elevations:
+        shape.elevations[key] = [
+            (upload(mi.UInt32, source), upload(mi.Float, weight))
+            for source, weight in zip(*_elevation(n, degree))
+        ]
+    return shape.elevations[key]
 
 
 @cache

@@ -8,7 +8,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..kernels.arrays import upload
 from .interaction import Preliminary
 from .scene import SceneRays
 from .surface_sampling import SurfaceSampling, direction_sample
@@ -44,9 +43,9 @@ class EmitterSampling:
             of_emitter[index], emitter_of[light] = light, index
         of_shape = np.full(len(data.shapes), _NONE, dtype=np.uint32)
         of_shape[numbers] = np.arange(len(numbers))
-        self.of_emitter = upload(mi.UInt32, of_emitter)
-        self.emitter_of = upload(mi.UInt32, emitter_of)
-        self.of_shape = upload(mi.UInt32, of_shape)
+        self.of_emitter, self.emitter_of, self.of_shape = (
+            data.kept(mi.UInt32, table) for table in (of_emitter, emitter_of, of_shape)
+        )
         self.pointers = self.scene.emitters_dr()
 
     def sample(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any]:

@@ -26,6 +26,7 @@ from ..kernels.trim import TrimTable, build_table
 from .attached import attached_tables
 from .contours import open_edges
 from .copies import CopyTables
+from .frozen import arrays_of, is_bezier
 from .interaction import PatchTables, Preliminary, surface_interaction
 from .surface_sampling import SurfaceSampling
 
@@ -49,6 +50,7 @@ class SceneData:
         self.attached: PatchTables | None = None
         self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
         self._open_edges: Any = None
+        self._kept: dict[tuple[str, bytes], Any] = {}
         self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
         parts, patch_shape, patch_first = [], [], []
         # who changes a shape once will do so again
@@ -93,6 +95,14 @@ class SceneData:
         else:
             self.pointers = mi.ShapePtr(shapes[0])
         dr.make_opaque(self.pointers)  # a literal would make each shape its own kernels
+        self._name = " ".join(str(x) for x in (scene is not None, *(s.serial for s in shapes)))
+        self._show()
+
+    def _show(self) -> None:
+        """Let frozen functions find the arrays."""
+        arrays = arrays_of(self)
+        for shape in self.shapes:
+            shape.device_arrays[self._name] = arrays
 
     def _build(self, leaves: Leaves, shape: np.ndarray, trims: Any) -> None:
         """Build the structures of leaves, given their shapes and trims."""
@@ -219,7 +229,16 @@ class SceneData:
         key = (by_emission, *numbers)
         if key not in self._sampling:
             self._sampling[key] = SurfaceSampling(self, list(numbers), by_emission)
+            self._show()
         return self._sampling[key]
+
+    def kept(self, array_type: Any, values: np.ndarray) -> Any:
+        """Upload a small table, or return the one that was uploaded for the same values."""
+        key = (array_type.__name__, values.tobytes())
+        if key not in self._kept:
+            self._kept[key] = upload(array_type, values)
+            self._show()
+        return self._kept[key]
 
     def open_edges(self) -> Any:
         """Return for each patch which edges have no neighbour in their shape.
@@ -236,6 +255,7 @@ class SceneData:
                 bits[open_edges(shape.patches, creases=False)] = 1
                 masks.append(bits.reshape(-1, 3) @ np.array([1, 2, 4], dtype=np.uint32))
             self._open_edges = upload(mi.UInt32, np.concatenate(masks))
+            self._show()
         return self._open_edges
 
 
@@ -287,10 +307,11 @@ def _cached(key: tuple, make: Any) -> SceneData:
     if key in _cache:
         _cache.move_to_end(key)
         return _cache[key]
-    if dr.flag(dr.JitFlag.SymbolicScope):
+    if dr.flag(dr.JitFlag.SymbolicScope) or dr.flag(dr.JitFlag.FreezingScope):
         raise BezierError(
-            "beziertriangle: expected a first ray query outside of recorded loops and calls, "
-            "where the structure can be built; got it inside of one"
+            "beziertriangle: expected a first ray query, and one after each change, outside of "
+            "recorded loops and calls and of frozen functions, where the structure can be built; "
+            "got it inside of one"
         )
     # a state that a shape has left will not come again
     for old in [k for k, d in _cache.items() if any(s.version not in k for s in d.shapes)]:
@@ -305,11 +326,6 @@ def _cached(key: tuple, make: Any) -> SceneData:
 def clear_cache() -> None:
     """Drop all structures; their arrays belong to a variant."""
     _cache.clear()
-
-
-def is_bezier(shape: Any) -> bool:
-    """Tell whether a shape of the scene is one of ours."""
-    return hasattr(shape, "patches") and hasattr(shape, "orientation")
 
 
 def data_for_shapes(shapes: list[Any]) -> SceneData:

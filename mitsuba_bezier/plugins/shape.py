@@ -129,6 +129,9 @@ def make_shape_class() -> type:
             #: Patches and leaves of the last structure, for the next, once there were updates.
             self.kept_leaves: tuple[BezierTriangles, Any] | None = None
             self.updates = -1
+            self.serial = next(_versions)
+            #: Degree elevations on the device, by their degrees; see `attached`.
+            self.elevations: dict[str, Any] = {}
             # A mesh attribute keeps Mitsuba's loader from merging shapes that share a BSDF
             # into one plain mesh.
             super().add_attribute("face_bezier", 1, [0.0])
@@ -151,6 +154,8 @@ def make_shape_class() -> type:
                     [self.copy_boxes[:, 0].min(axis=0), self.copy_boxes[:, 1].max(axis=0)]
                 )
             self.version = next(_versions)
+            #: Arrays of the structures that this state is a part of; see `frozen`.
+            self.device_arrays: dict[str, list[Any]] = {}
             self.updates += 1
             self._set_box(box)
 
