@@ -76,6 +76,18 @@ class Structure:
     trim: TrimTable | None = None  #: only where some leaf has trims
 
     @property
+    def kinds(self) -> tuple[bool | int, ...]:
+        """What the code of kernels depends on beside the other attributes, but counts."""
+        return (
+            self.has_affine,
+            self.has_projective,
+            self.has_groups,
+            dr.width(self.domain) < self.leaf_count * DOMAIN,
+            dr.width(self.members) > dr.width(self.rows),
+            dr.width(self.planes) * MEMBER // max(1, dr.width(self.rows)),
+        )
+
+    @property
     def has_affine(self) -> bool:
         """Whether there is a leaf with an affine chart."""
         return self.affine_count > 0

@@ -26,7 +26,7 @@ from ..kernels.trim import TrimTable, build_table
 from .attached import attached_tables
 from .contours import open_edges
 from .copies import CopyTables
-from .frozen import arrays_of, is_bezier
+from .frozen import contents, is_bezier
 from .interaction import PatchTables, Preliminary, surface_interaction
 from .surface_sampling import SurfaceSampling
 
@@ -100,9 +100,9 @@ class SceneData:
 
     def _show(self) -> None:
         """Let frozen functions find the arrays."""
-        arrays = arrays_of(self)
+        found = contents(self)
         for shape in self.shapes:
-            shape.device_arrays[self._name] = arrays
+            shape.device_arrays[self._name] = found
 
     def _build(self, leaves: Leaves, shape: np.ndarray, trims: Any) -> None:
         """Build the structures of leaves, given their shapes and trims."""

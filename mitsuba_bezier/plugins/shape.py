@@ -26,6 +26,13 @@ __all__ = ["make_shape_class"]
 _versions = itertools.count(1)
 
 
+class _State:
+    """Numbers that change with a shape, where frozen functions do not see them; see `frozen`."""
+
+    version = 0
+    updates = -1
+
+
 def make_shape_class() -> type:
     """Return the class for the variant that is set now."""
     attribute_class = make_attribute_class()
@@ -128,7 +135,7 @@ def make_shape_class() -> type:
             self._attributes: dict[str, Any] = {}
             #: Patches and leaves of the last structure, for the next, once there were updates.
             self.kept_leaves: tuple[BezierTriangles, Any] | None = None
-            self.updates = -1
+            self._state = _State()
             self.serial = next(_versions)
             #: Degree elevations on the device, by their degrees; see `attached`.
             self.elevations: dict[str, Any] = {}
@@ -138,6 +145,16 @@ def make_shape_class() -> type:
             self._commit(patches, self._object_to_world)
             for name, ordinates in attributes.items():
                 self._add(name, ordinates)
+
+        @property
+        def version(self) -> int:
+            """A number that no other state of any shape has."""
+            return self._state.version
+
+        @property
+        def updates(self) -> int:
+            """How often the shape was changed."""
+            return self._state.updates
 
         def _commit(self, patches: BezierTriangles, matrix: np.ndarray) -> None:
             """Take over a new valid state."""
@@ -153,10 +170,10 @@ def make_shape_class() -> type:
                 box = np.stack(
                     [self.copy_boxes[:, 0].min(axis=0), self.copy_boxes[:, 1].max(axis=0)]
                 )
-            self.version = next(_versions)
+            self._state.version = next(_versions)
             #: Arrays of the structures that this state is a part of; see `frozen`.
-            self.device_arrays: dict[str, list[Any]] = {}
-            self.updates += 1
+            self.device_arrays: dict[str, dict[str, Any]] = {}
+            self._state.updates += 1
             self._set_box(box)
 
         def _set_box(self, box: np.ndarray) -> None:
