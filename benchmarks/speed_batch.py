@@ -47,8 +47,9 @@ def measure(options: Options) -> list[dict[str, Any]]:
             }
             for query, any_hit in (("closest", False), ("any", True)):
                 tasks = {
-                    way: lambda run=run, s=structure, r=columns, any_hit=any_hit: run(
-                        s, *r, ty.Float(dr.inf), any_hit=any_hit
+                    # a tuple: Dr.Jit does not look into those with names
+                    way: lambda run=run, s=structure, r=columns, any_hit=any_hit: tuple(
+                        run(s, *r, ty.Float(dr.inf), any_hit=any_hit)
                     )
                     for way, run in (
                         ("each", traverse.intersect),
