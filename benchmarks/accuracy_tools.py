@@ -79,7 +79,7 @@ class Tracer:
             columns = [[Float(np.ascontiguousarray(a[c, k])) for k in range(3)] for a in (o, d)]
             far = Float(np.ascontiguousarray(limit[c]))
             hit = intersect(self.structure, *columns, far, True, any_hit)
-            dr.eval(hit)
+            dr.eval(*hit)
             count = len(o[c])
             uv = np.stack([_numpy(hit.u, count), _numpy(hit.v, count)], axis=1)
             parts.append(

@@ -85,7 +85,7 @@ def count_reads(structure: Structure, o: np.ndarray, d: np.ndarray) -> dict[str,
     columns = [[ty.Float(np.ascontiguousarray(a[:, k])) for k in range(3)] for a in (o, d)]
     with _counted(structure, len(o)) as counted:
         hit = traverse.intersect(structure, *columns, ty.Float(dr.inf))
-        dr.eval(hit, counted["counters"])
+        dr.eval(*hit, counted["counters"])
     out = {}
     for name, packets in counted["packets"].items():
         number = sum(float(np.array(c).mean()) for c in counted["counters"][name])

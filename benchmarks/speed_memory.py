@@ -33,6 +33,7 @@ NOTHING = "no scene"
 def measure(options: Options) -> list[dict[str, Any]]:
     """Trace the same random rays in all scenes; the mesh comes from a binary PLY file."""
     label, triangles = list(options.mesh_sizes.items())[-1]
+    runs = min(3, options.runs)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "sphere.ply"
         mesh(patches_of("sphere, octants"), triangles).write_ply(str(file))
@@ -43,7 +44,11 @@ def measure(options: Options) -> list[dict[str, Any]]:
             "Mitsuba's sphere": ["sphere"],
             label: ["mesh", str(file)],
         }
-        peak = {n: child("speed_memory.py", [options.variant, *a]) for n, a in cases.items()}
+        # the least of three processes: now and then one takes some twenty MiB more
+        peak = {
+            name: min(child("speed_memory.py", [options.variant, *case]) for _ in range(runs))
+            for name, case in cases.items()
+        }
     rows = []
     for name, size in peak.items():
         own = size - peak[NOTHING]

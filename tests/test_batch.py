@@ -157,7 +157,7 @@ def test_kernels_serve_all_counts(small):
         rays = columns(*random_rays(count))
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
             dr.kernel_history_clear()
-            dr.eval(batch.intersect_batch(structure, *rays, Float(np.inf)))
+            dr.eval(*batch.intersect_batch(structure, *rays, Float(np.inf)))
             dr.sync_thread()
             kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
         used.append({k["hash"] for k in kernels})
