@@ -14,7 +14,7 @@ import drjit as dr
 from ..geometry import bernstein
 from .arrays import Types, gather_packets
 from .chart import affine_line
-from .net import horner
+from .net import graph_point
 from .structure import AFFINE, HEAD, Structure
 
 __all__ = ["polish"]
@@ -60,15 +60,7 @@ def polish(
         net = [f64(x) for x in gather_packets(s.nets, leaf, size, active)[HEAD:]]
         (x0, y0, z0), (ex, ey, ez) = affine_line(ty, record, base, o, d, wide=True)
         u64, v64, tau = f64(u), f64(v), f64(t) - base
-        p, pu, pv = horner(net, s.degree, u64, v64)
-        x, y, z = u64 + p[0], v64 + p[1], p[2]
-        xu, xv, yu, yv, zu, zv = 1.0 + pu[0], pv[0], pu[1], 1.0 + pv[1], pu[2], pv[2]
-        if s.components == 4:
-            inv = dr.rcp(1.0 + p[3])
-            x, y, z = x * inv, y * inv, z * inv
-            xu, xv = (xu - x * pu[3]) * inv, (xv - x * pv[3]) * inv
-            yu, yv = (yu - y * pu[3]) * inv, (yv - y * pv[3]) * inv
-            zu, zv = (zu - z * pu[3]) * inv, (zv - z * pv[3]) * inv
+        (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, s.degree, u64, v64)
         # from the ray to the surface, and what the ray is in the tangent plane's coordinates
         rx, ry, rz = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y, dr.fma(tau, ez, z0) - z
         idet = 1.0 / dr.fma(xu, yv, -xv * yu)

@@ -14,7 +14,7 @@ from ..geometry.leaves import BENDING_LIMIT, SIZES
 from .arrays import Types, gather_packets, types_of
 from .chart import ChartLine, affine_line, projective_line, root_fraction
 from .grazing import polish
-from .net import horner
+from .net import graph_point
 from .quadric import edge_tolerance
 from .structure import AFFINE, HEAD, PROJECTIVE, Structure
 from .trim import leaf_test
@@ -207,16 +207,7 @@ def _march(
         return u, v
 
     def advance(go, step, tau, u, v, sign, root, slope, normal2):
-        p, pu, pv = horner(net, n, u, v)
-        # the identity was split off x, y and the weight, which is one where it is not stored
-        x, y, z = u + p[0], v + p[1], p[2]
-        xu, xv, yu, yv, zu, zv = 1.0 + pu[0], pv[0], pu[1], 1.0 + pv[1], pu[2], pv[2]
-        if len(p) == 4:
-            inv = dr.rcp(1.0 + p[3])
-            x, y, z = x * inv, y * inv, z * inv
-            xu, xv = (xu - x * pu[3]) * inv, (xv - x * pv[3]) * inv
-            yu, yv = (yu - y * pu[3]) * inv, (yv - y * pv[3]) * inv
-            zu, zv = (zu - z * pu[3]) * inv, (zv - z * pv[3]) * inv
+        (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, n, u, v)
         idet = dr.rcp(dr.fma(xu, yv, -xv * yu))
         rx, ry = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y
         du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet

@@ -8,7 +8,7 @@ import drjit as dr
 
 from ..geometry import bernstein
 
-__all__ = ["horner", "horner_value"]
+__all__ = ["graph_point", "horner", "horner_value"]
 
 
 def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], ...]:
@@ -50,6 +50,29 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
         d_du.append(su)
         d_dv.append(sv)
     return value, d_du, d_dv
+
+
+def graph_point(
+    net: list[Any], n: int, u: Any, v: Any
+) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Any, ...]]:
+    """Evaluate the net of a graph leaf in its chart.
+
+    The identity is split off x, y and the weight, which is one where it is not stored.
+
+    Returns
+    -------
+    point, d_du, d_dv : three numbers each
+    """
+    p, pu, pv = horner(net, n, u, v)
+    x, y, z = u + p[0], v + p[1], p[2]
+    xu, xv, yu, yv, zu, zv = 1.0 + pu[0], pv[0], pu[1], 1.0 + pv[1], pu[2], pv[2]
+    if len(p) == 4:
+        inv = dr.rcp(1.0 + p[3])
+        x, y, z = x * inv, y * inv, z * inv
+        xu, xv = (xu - x * pu[3]) * inv, (xv - x * pv[3]) * inv
+        yu, yv = (yu - y * pu[3]) * inv, (yv - y * pv[3]) * inv
+        zu, zv = (zu - z * pu[3]) * inv, (zv - z * pv[3]) * inv
+    return (x, y, z), (xu, yu, zu), (xv, yv, zv)
 
 
 def horner_value(coefficients: list[Any], n: int, u: Any, v: Any) -> list[Any]:
