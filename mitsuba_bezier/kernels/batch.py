@@ -178,7 +178,7 @@ def _trace(
         ray = place if queue.ray is None else dr.gather(ty.UInt, queue.ray, place)
         o, d, t_max = rays.at(ray, nearest.t)
         index = dr.gather(ty.UInt, found, place)
-        line, candidate = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True))
+        candidate, line = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True))
         hit, t, u, v, leaf = meet(s, ty, index, line, o, d, t_max, candidate, any_hit)
         nearest.update(ray, hit, t, u, v, leaf)
         node, leaves = (dr.gather(ty.UInt, x, place) for x in (walk.node, walk.leaves))

@@ -182,17 +182,17 @@ def take_candidate(
     """Take a leaf out of a walk's `leaves`, and turn it down if it is culled."""
     leaves, leaf = take_leaf(s.nodes, ty, first, leaves, run)
     known = run & (leaf != NO_LEAF)
-    line, candidate = cull_leaf(s, ty, leaf, o, d, t_max, known)
+    candidate, line = cull_leaf(s, ty, leaf, o, d, t_max, known)
     return leaves, dr.select(candidate, leaf, NO_LEAF), line
 
 
 def cull_leaf(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
-) -> tuple[ChartLine, Any]:
-    """Return a ray's line in a leaf's chart, and which rays may hit the leaf; groups may."""
+) -> tuple[Any, ChartLine]:
+    """Cull a leaf as `chart.cull` does, or let a group pass."""
     graph = active & (leaf < s.first_group) if s.has_groups else active
     candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
-    return line, active & (candidate | ~graph)
+    return active & (candidate | ~graph), line
 
 
 def _until_found(ty: Types, candidate: Any, walk: Walk, run: Any) -> tuple[Walk, Any, ChartLine]:
