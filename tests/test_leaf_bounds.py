@@ -13,9 +13,13 @@ from mitsuba_bezier.geometry.leaf_bounds import LeafBounds
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import (
     BENDING_LIMIT,
+    INWARD,
+    LEAST_REACH,
+    OUTWARD,
     SIZES,
     LeafSettings,
     pack_bending,
+    round_reach,
     unpack_bending,
 )
 
@@ -60,6 +64,9 @@ class Charts:
         self.net[..., 3] += 1.0
         self.q = leaves.form[:, :3]
         self.remainder, self.variation, packed, self.margin = leaves.form[:, 3:7].T
+        self.outward, self.inward = leaves.form[:, OUTWARD], leaves.form[:, INWARD]
+        projective = (leaves.frame[:, 3] != (0, 0, 0, 1)).any(axis=1)
+        self.outward[projective] = self.margin[projective, None]  # what the kernel has of those
         self.bending, self.size = unpack_bending(packed)
 
     def triangle(self, leaf: int, count: int) -> np.ndarray:
@@ -158,28 +165,35 @@ def test_the_map_is_one_to_one_and_covers(charts):
         symmetric = (dp[:, :2] + dp[:, :2].swapaxes(-1, -2)) / 2
         assert np.linalg.eigvalsh(symmetric).min() > 0
         # any point of the chart triangle has a parameter in T: Newton's iteration, damped
-        grow = 1 + 3 * charts.margin[leaf]
-        corners = 1 / 3 + (np.array([[1, 0], [0, 1], [0, 0]]) - 1 / 3) * grow
-        xy = np.concatenate(
-            [corners[i] + around[:, None] * (corners[i - 1] - corners[i]) for i in range(3)]
-        )
-        uv = np.clip(xy, 0, 1)
-        for _ in range(25):
-            p, dp, _ddp = charts.jets(leaf, uv)
-            uv = uv + 0.7 * np.linalg.solve(dp[:, :2], (xy - p[:, :2])[..., None])[..., 0]
-        assert np.abs(charts.jets(leaf, uv)[0][:, :2] - xy).max() < 1e-9
-        least = np.minimum(np.minimum(uv[:, 0], uv[:, 1]), 1 - uv.sum(axis=1))
-        assert least.min() >= -SIZES[charts.size[leaf]]
-        # and the leaf itself lies in the chart triangle
+        # and any point of the inner triangle one in the leaf itself
+        for least, shift in (
+            (-SIZES[charts.size[leaf]], charts.outward[leaf]),
+            (0.0, -charts.inward[leaf]),
+        ):
+            corners = np.eye(3) * (1 + shift.sum()) - shift
+            if shift.sum() <= -1:
+                continue  # nothing is said to be covered
+            corners = corners[:, :2]
+            xy = np.concatenate(
+                [corners[i] + around[:, None] * (corners[i - 1] - corners[i]) for i in range(3)]
+            )
+            uv = np.clip(xy, 0, 1)
+            for _ in range(25):
+                p, dp, _ddp = charts.jets(leaf, uv)
+                uv = uv + 0.7 * np.linalg.solve(dp[:, :2], (xy - p[:, :2])[..., None])[..., 0]
+            assert np.abs(charts.jets(leaf, uv)[0][:, :2] - xy).max() < 1e-9
+            assert np.minimum(np.minimum(uv[:, 0], uv[:, 1]), 1 - uv.sum(axis=1)).min() >= least
+        # and the leaf lies in the chart triangle
         p = charts.jets(leaf, bernstein.multi_indices(20)[:, :2] / 20)[0]
         x, y = p[:, 0], p[:, 1]
-        assert np.minimum(np.minimum(x, y), 1 - x - y).min() >= -charts.margin[leaf]
+        assert (np.stack([x, y, 1 - x - y]).min(axis=1) >= -charts.outward[leaf]).all()
+        assert charts.outward[leaf].max() == charts.margin[leaf]
 
 
 def test_too_small_a_triangle_does_not_cover():
     charts = Charts(SURFACES["torus"])
-    needed = leaf_cover.needed_margin(charts.margin)
-    assert (needed > charts.margin).all()
+    needed = leaf_cover.needed_margin(charts.outward)
+    assert (needed > charts.outward).all()
     small = leaf_cover._covers(charts.net, needed, charts.n, 0)
     large = leaf_cover._covers(charts.net, needed, charts.n, 11)
     # edges of the torus' leaves bend by some 5 % of the leaf, and 0.004 is the first size
@@ -191,7 +205,7 @@ def test_few_samples_give_bounds_too(monkeypatch):
     surface = SURFACES["degree 3"]
     dense = Charts(surface)
     monkeypatch.setattr(leaf_bounds, "_LATTICES", (3,))
-    coarse = leaf_bounds.leaf_bounds(dense.net, dense.margin, 0 * dense.margin, 1.0)
+    coarse = leaf_bounds.leaf_bounds(dense.net, dense.outward, 0 * dense.inward, 1.0)
     assert coarse.proved.mean() > 0.1
     for leaf in np.flatnonzero(coarse.proved):
         dense.size[leaf] = coarse.size[leaf]
@@ -237,15 +251,15 @@ def test_edges_reach_no_further_than_they_say():
     net[..., 3] = np.maximum(net[..., 3], 0.2)
     out, inward = leaf_cover.edge_reach(net)
     s = np.linspace(0, 1, 101)
-    reach, back = np.zeros(100), np.zeros(100)
+    reach, back = np.zeros((100, 3)), np.zeros((100, 3))
     for e in range(3):
         bary = np.zeros((101, 3))
         bary[:, (e + 1) % 3], bary[:, (e + 2) % 3] = s, 1 - s
         p = bernstein.basis(4, bary[:, :2]) @ net
         x, y = p[..., 0] / p[..., 3], p[..., 1] / p[..., 3]
         chart = np.stack([x, y, 1 - x - y])
-        reach = np.maximum(reach, -chart.min(axis=(0, 2)))
-        back = np.maximum(back, chart[e].max(axis=1))
+        reach = np.maximum(reach, -chart.min(axis=2).T)
+        back[:, e] = np.maximum(back[:, e], chart[e].max(axis=1))
     assert (reach <= out).all() and (back <= inward).all()
     # eight pieces: what a polygon is off a curve is a 64th of what it was, some 2 % of the net
     assert (out - reach).max() < 0.02 and (inward - back).max() < 0.02
@@ -262,6 +276,16 @@ def test_bending_and_size_share_a_number():
         assert (again >= bending).all() and (again - bending).max() <= 2.0**-14
     assert unpack_bending(pack_bending(np.array([99.0]), np.array([3])))[1] == 3
     assert BENDING_LIMIT * len(SIZES) <= 256
+
+
+def test_reach_is_rounded_up_to_seven_bits():
+    reach = np.concatenate([[0.0, 1e-9, LEAST_REACH], np.geomspace(1e-4, 3.7, 1000)])
+    rounded = round_reach(reach)
+    assert (rounded >= reach).all() and (round_reach(rounded) == rounded).all()
+    # sixteen steps from one power of two to the next but one
+    assert (rounded <= np.maximum(reach * 1.125, LEAST_REACH)).all()
+    assert len(np.unique(round_reach(np.geomspace(1e-9, 3.75, 100_000)))) <= 2**7
+    assert round_reach(np.array([3.76, np.inf])).tolist() == [np.inf, np.inf]
 
 
 @pytest.mark.parametrize("surface", ["torus", "cone"])

@@ -11,6 +11,7 @@ from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import (
     FORM_ENTRIES,
     LEAST,
+    OUTWARD,
     LeafSettings,
     Leaves,
     unpack_bending,
@@ -174,9 +175,9 @@ def test_bounds_hold_on_dense_samples(regular):
     x, y = p[..., 0] / p[..., 3], p[..., 1] / p[..., 3]
     assert (np.minimum(np.minimum(x, y), 1 - x - y) >= -margin - 1e-12).all()
 
-    # all that a clipped ray may see: the unit triangle enlarged by the margin
-    grow = 1 + 3 * margin[..., None]
-    xy = 1 / 3 + (lattice(11)[None] - 1 / 3) * grow
+    # all that a clipped ray may see: the unit triangle enlarged
+    outward = leaves.form[:, None, OUTWARD]
+    xy = lattice(11) * (1 + outward.sum(axis=2, keepdims=True)) - outward[..., :2]
     h, _uv = height(leaves, xy)
     x, y = xy[..., 0], xy[..., 1]
     rest = 1 - x - y

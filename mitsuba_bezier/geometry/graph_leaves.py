@@ -11,7 +11,7 @@ from . import bernstein
 from .collapsed import collapsed_edge, fan, strips
 from .leaf_bounds import leaf_bounds
 from .leaf_cover import edge_reach
-from .leaves import FORM, LeafSettings, Leaves, pack_bending
+from .leaves import FORM, INWARD, OUTWARD, LeafSettings, Leaves, pack_bending, round_reach
 from .triangles import BezierTriangles
 
 __all__ = ["subdivide"]
@@ -286,22 +286,28 @@ def _fit_charts(
     rows = rows[~_hopeless(chart[rows], settings)]
     reach, inward = edge_reach(chart[rows])
     rounding = np.where(finite[rows], _rounding(nets[rows], shift[rows], frame[rows]), 0.0)
-    margin = reach + _PAD + rounding
+    reach = round_reach(reach + (_PAD + rounding)[:, None])
+    inward = round_reach(inward + rounding[:, None])
+    margin = reach.max(axis=1)
+    # the kernel has but one number for projective charts
+    reach[~finite[rows]] = margin[~finite[rows], None]
     form = np.zeros((len(nets), FORM))
     good = np.zeros(len(nets), dtype=bool)
-    bounds = leaf_bounds(chart[rows], margin, inward, settings.lateral)
+    bounds = leaf_bounds(chart[rows], reach, inward, settings.lateral)
     good[rows] = (
         bounds.proved
         & (bounds.lateral <= settings.lateral)
         & (bounds.remainder <= settings.remainder)
         & (bounds.height <= settings.height)
     )
-    form[rows, :3], form[rows, 7:] = bounds.quadratics[:, :3], bounds.quadratics[:, 3:]
+    form[rows, :3], form[rows, 7:13] = bounds.quadratics[:, :3], bounds.quadratics[:, 3:]
     # the slope of the quadratic takes what is off along the chart to a height: its gradient is at
     # most 2 sqrt(2) times the sum of its coefficients over the unit triangle, some more beyond it
-    bends = 1 + 3 * (1 + 3 * margin) * np.abs(bounds.quadratics[:, :3]).sum(axis=1)
+    with np.errstate(invalid="ignore"):  # an infinite margin, where nothing is proved
+        bends = 1 + 3 * (1 + 3 * margin) * np.abs(bounds.quadratics[:, :3]).sum(axis=1)
     form[rows, 3] = bounds.remainder + bends * rounding
     form[rows, 4], form[rows, 6] = bounds.variation, margin
+    form[rows, OUTWARD], form[rows, INWARD] = reach, inward
     form[rows, 5] = pack_bending(bounds.bending, bounds.size)
     form[~np.isfinite(form).all(axis=1)] = 0.0
     deviation = chart.copy()

@@ -2,9 +2,9 @@
 
 The setting. A leaf is ``F = (X, Y) / W``, ``z = Z / W`` with polynomials of degree `n` in the
 leaf's parameters ``p = (u, v)``. Let ``T`` be the parameter triangle with barycentrics at least
-``-s`` (``s`` is one of `SIZES`), and ``P`` the chart triangle with barycentrics at least ``-m``, in
-which the kernel looks for the leaf (``m`` is the leaf's margin with what the kernel's rounding
-adds). Shown is, for the leaves marked as proved:
+``-s`` (``s`` is one of `SIZES`), and ``P`` the chart triangle in which the kernel looks for the
+leaf, with barycentrics at least ``-m`` (three numbers ``m``: how far the leaf reaches outward, and
+what the kernel's rounding adds). Shown is, for the leaves marked as proved:
 
 1. ``W > 0`` on ``T``, and ``sym F' >= mu > 0`` there. As ``T`` is convex, ``F`` is one-to-one:
    ``(F(p) - F(p')) . (p - p') >= mu |p - p'|^2``. So the leaf is the graph of ``h = z o F^-1``.
@@ -112,7 +112,7 @@ class LeafBounds:
 
 
 def leaf_bounds(
-    chart: np.ndarray, margin: np.ndarray, inward: np.ndarray, lateral: float
+    chart: np.ndarray, outward: np.ndarray, inward: np.ndarray, lateral: float
 ) -> LeafBounds:
     """Bound leaves; see the module's docstring.
 
@@ -120,8 +120,8 @@ def leaf_bounds(
     ----------
     chart : (L, K, 4) array
         Bernstein coefficients ``X, Y, Z, W`` in the leaves' charts, corners near the unit triangle.
-    margin, inward : (L,) arrays
-        What `edge_reach` says; the bounds are for this margin, which may be more.
+    outward, inward : (L, 3) arrays
+        What `edge_reach` says, or more; the kernel looks for the leaf so far `outward`.
     lateral : float
         Leaves with more of it are cut anyway, so that finer lattices are not for them.
 
@@ -141,7 +141,7 @@ def leaf_bounds(
         },
     )
     with np.errstate(all="ignore"):
-        size, rows = covering_sizes(chart, needed_margin(margin), inward)
+        size, rows = covering_sizes(chart, needed_margin(outward), inward)
         out.size[:] = size
         for lattice in _LATTICES:
             again = [rows[:0]]
@@ -348,8 +348,11 @@ def _fit(
     # the ridge keeps the fit of hopeless leaves, which are cut anyway, from being singular
     gram += (1e-12 * (1.0 + np.trace(gram, axis1=1, axis2=2)))[:, None, None] * np.eye(3)
     fitted = np.linalg.solve(gram, design @ targets.transpose(0, 2, 1))
-    # the kernel has them in float32; bounds are of what it has
-    quadratics = fitted.transpose(0, 2, 1).reshape(-1, 9).astype(np.float32).astype(np.float64)
+    # the kernel has them in float32, the first three with 16 digits; bounds are of what it has
+    quadratics = fitted.transpose(0, 2, 1).reshape(-1, 9).astype(np.float32)
+    bits = quadratics[:, :3].view(np.uint32)
+    quadratics[:, :3] = ((bits + 0x80) & 0xFFFFFF00).view(np.float32)
+    quadratics = quadratics.astype(np.float64)
     return quadratics, np.ascontiguousarray(quadratics[:, :3].T)
 
 

@@ -26,13 +26,15 @@ _PIECES = 8
 _CHUNK = 512
 
 
-def needed_margin(margin: np.ndarray) -> np.ndarray:
-    """Return how far out of the unit triangle the kernel may look for leaves of a margin.
+def needed_margin(outward: np.ndarray) -> np.ndarray:
+    """Return how far out of the unit triangle the kernel may look for a leaf; it clips in float32.
 
-    It stores the margin as a multiple of ``2^-30``, a square, rounded up; and it clips rays in
-    float32.
+    Parameters
+    ----------
+    outward : (L, 3) array
+        To where it should.
     """
-    return margin + 2.0**-14 * np.sqrt(margin) + 2.0**-30 + 3e-6
+    return outward + 3e-6
 
 
 @cache
@@ -66,12 +68,13 @@ def edge_reach(chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Returns
     -------
-    out, inward : (L,) arrays
-        In barycentrics, at least 0.
+    out, inward : (L, 3) arrays
+        At least 0: no barycentric of the leaf is below ``-out``, and each is at most ``inward`` on
+        the edge where, in the unit triangle, it is zero.
     """
     n = bernstein.degree_of(chart.shape[1])
-    out = np.zeros(len(chart))
-    inward = np.zeros(len(chart))
+    out = np.zeros((len(chart), 3))
+    inward = np.zeros((len(chart), 3))
     if not len(chart):
         return out, inward
     net = np.ascontiguousarray(chart[..., [0, 1, 3]].transpose(1, 2, 0))
@@ -81,9 +84,9 @@ def edge_reach(chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         inv = 1.0 / w
         x, y = x * inv, y * inv
         barycentrics = (x, y, 1 - x - y)
-        for b in barycentrics:
-            out = np.maximum(out, -b.min(axis=0))
-        inward = np.maximum(inward, barycentrics[e].max(axis=0))
+        for k, b in enumerate(barycentrics):
+            out[:, k] = np.maximum(out[:, k], -b.min(axis=0))
+        inward[:, e] = np.maximum(inward[:, e], barycentrics[e].max(axis=0))
     return out, inward
 
 
@@ -110,12 +113,14 @@ def _covers(chart: np.ndarray, needed: np.ndarray, n: int, size: int) -> np.ndar
     """Tell for which leaves the edges of ``T`` do not meet ``P``.
 
     Each piece between two samples has to be beyond one of the edges of ``P``: ``U + m W < 0`` for a
-    barycentric ``U``, a polynomial, which is off its linear interpolation by at most an eighth of
-    its second derivative.
+    barycentric ``U`` and its ``m``. That is a polynomial, which is off its linear interpolation by
+    at most an eighth of its second derivative.
     """
     x, y, w = chart[..., 0].T, chart[..., 1].T, chart[..., 3].T
-    net = np.concatenate([x + needed * w, y + needed * w, w - x - y + needed * w], axis=1)
-    values, bent = (m @ net for m in _edge_matrices(n, size))  # edge, sample, barycentric and leaf
+    m = needed.T
+    net = np.concatenate([x + m[0] * w, y + m[1] * w, w - x - y + m[2] * w], axis=1)
+    # edge, sample, barycentric and leaf
+    values, bent = (matrix @ net for matrix in _edge_matrices(n, size))
     most = np.maximum(values[:, 1:], values[:, :-1])
     most += np.abs(bent).max(axis=1, keepdims=True) / (8 * _PIECES**2)
     beyond = (most < 0).reshape(*most.shape[:2], 3, -1)
@@ -140,7 +145,7 @@ def covering_sizes(
     Parameters
     ----------
     chart : (L, K, 4) array
-    needed, inward : (L,) arrays
+    needed, inward : (L, 3) arrays
         What `needed_margin` and `edge_reach` say.
 
     Returns
@@ -151,7 +156,8 @@ def covering_sizes(
         The leaves for which a triangle was found.
     """
     n = bernstein.degree_of(chart.shape[1])
-    reach = np.nan_to_num(_STEEP * (needed + inward), nan=np.inf)
+    reach = (needed.max(axis=1) + inward.max(axis=1)) * _STEEP
+    reach = np.nan_to_num(reach, nan=np.inf)
     size = np.minimum(np.searchsorted(SIZES, reach), len(SIZES) - 1)
     rows = np.arange(len(chart))
     covered = [rows[:0]]

@@ -21,6 +21,8 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     * ``bending``: so that ``bending d^2`` is at least the error, at distance d, of h's tangent
       plane with the quadratic's second derivative,
     * ``margin``: how far the leaf reaches out of the unit triangle in the chart,
+    * ``outward`` and ``inward``, three of each: the leaf has only points whose barycentrics in the
+      chart are at least ``-outward``, and covers all where they are at least ``inward``,
 
     proved (`leaf_bounds`) over an enlarged triangle of parameters, one of the `SIZES`, whose image
     holds the unit triangle enlarged by the margin; and two more quadratics of the
@@ -45,18 +47,22 @@ __all__ = [
     "DEVIATION",
     "FORM",
     "FORM_ENTRIES",
+    "INWARD",
     "LEAST",
+    "LEAST_REACH",
+    "OUTWARD",
     "SECTION",
     "SIZES",
     "LeafSettings",
     "Leaves",
     "pack_bending",
+    "round_reach",
     "unpack_bending",
 ]
 
 
 #: Numbers in `Leaves.form`.
-FORM = 13
+FORM = 19
 
 #: Place in the form of an exact leaf of a lower bound on ``|U_0 + U_1 + U_2|`` over the patch,
 #: where the rows of the frame give ``U`` on ``(p - shift, 1)``. All four vanish at the centre of
@@ -69,6 +75,10 @@ DEVIATION = 11
 #: Place of the mark of an exact leaf whose frame gives stereographic coordinates, not barycentrics:
 #: those need a few steps of Newton's method, on the net; see `section_leaves`.
 SECTION = 12
+
+#: Places in the form of a graph leaf of its `outward` and `inward`.
+OUTWARD = slice(13, 16)
+INWARD = slice(16, 19)
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
 FORM_ENTRIES = (
@@ -88,6 +98,9 @@ FORM_ENTRIES = (
 #: leaves hold. Few, so that leaves share their matrices; the kernel has the same formula.
 SIZES = tuple(0.004 * 2 ** (k / 2) for k in range(16))
 
+#: The least that `round_reach` returns.
+LEAST_REACH = 2.0**-14
+
 #: The bending of graph leaves is below this, so that one number holds it and the size.
 BENDING_LIMIT = 16.0
 
@@ -105,6 +118,17 @@ def pack_bending(bending: np.ndarray, size: np.ndarray) -> np.ndarray:
     # 2^-14: four bits for the size and four in front of the point leave it exact in 24
     steps = np.ceil(np.minimum(bending, BENDING_LIMIT - 2.0**-14) * 2.0**14)
     return steps / 2.0**14 + BENDING_LIMIT * size
+
+
+def round_reach(reach: np.ndarray) -> np.ndarray:
+    """Round `outward` and `inward` up to what the kernel can hold, in seven bits.
+
+    Four binary digits and sixteen exponents, from `LEAST_REACH` on; infinite where that is too
+    little.
+    """
+    mantissa, exponent = np.frexp(np.maximum(reach, LEAST_REACH))
+    rounded = np.ldexp(np.ceil(mantissa * 16) / 16, exponent)
+    return np.where(rounded < LEAST_REACH * 2**16, rounded, np.inf)
 
 
 def unpack_bending(packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +178,7 @@ class Leaves:
     exact: np.ndarray  #: (L,) bool
     shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
     frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: u, v, w, 0) on (p - shift, 1)
-    form: np.ndarray  #: (L, 13) a b c, four bounds, six for (u, v) (exact: quadric and more)
+    form: np.ndarray  #: (L, 19) a b c, bounds, six for (u, v), six for edges (exact: quadric)
     net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1) (exact: P, Q or 0)
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
     certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold

@@ -43,6 +43,9 @@ _APART = 0.05
 #: So many pairs of neighbours are looked at.
 _SAMPLES = 4096
 
+#: In place of a leaf's number: the ray certainly hits it, which is all that is asked.
+_SURE = NO_LEAF - 1
+
 #: Where arrays have no values yet, or must not be looked at.
 _RECORDING = (
     dr.JitFlag.SymbolicScope,
@@ -171,14 +174,17 @@ def _trace(
 ) -> None:
     """Trace the rays of a queue."""
     for _round in range(_ROUNDS):
-        found, walk = _walk_to_candidates(s, ty, rays, nearest.t, queue)
-        place = dr.compress(found != NO_LEAF)
+        found, walk = _walk_to_candidates(s, ty, rays, nearest.t, queue, any_hit)
+        if any_hit and s.decides:
+            ray = dr.arange(ty.UInt, queue.count) if queue.ray is None else queue.ray
+            dr.scatter(nearest.leaf, found, ray, found == _SURE)
+        place = dr.compress(found < _SURE)
         if not dr.width(place):
             return
         ray = place if queue.ray is None else dr.gather(ty.UInt, queue.ray, place)
         o, d, t_max = rays.at(ray, nearest.t)
         index = dr.gather(ty.UInt, found, place)
-        candidate, line = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True))
+        candidate, line = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True), any_hit)
         hit, t, u, v, leaf = meet(s, ty, index, line, o, d, t_max, candidate, any_hit)
         nearest.update(ray, hit, t, u, v, leaf)
         node, leaves = (dr.gather(ty.UInt, x, place) for x in (walk.node, walk.leaves))
@@ -203,16 +209,16 @@ def _trace(
 
 
 def _walk_to_candidates(
-    s: Structure, ty: Types, rays: _Rays, t: Any, queue: _Queue
+    s: Structure, ty: Types, rays: _Rays, t: Any, queue: _Queue, any_hit: bool
 ) -> tuple[Any, Walk]:
     """Take each ray of a queue to its next leaf that it may hit.
 
     Returns
     -------
     leaf : UInt
-        By place in the queue, `NO_LEAF` where there is none.
+        By place in the queue, `NO_LEAF` where there is none; or `_SURE`.
     walk : Walk
-        Where the others may go on; arbitrary in the first.
+        Where the others may go on; arbitrary in the first and the last.
     """
     count = queue.count
     # at least a hundred packets for each thread, so that none waits for long
@@ -263,7 +269,9 @@ def _walk_to_candidates(
         walk = walk_to_leaves(s.nodes, ty, first, lane.walk, lane.slabs, lane.t, run, _NODES)
 
         def look(walk, o, d, t):
-            leaves, leaf, _line = take_candidate(s, ty, first, walk.leaves, o, d, t, run)
+            leaves, leaf, line = take_candidate(s, ty, first, walk.leaves, o, d, t, run, any_hit)
+            if any_hit and s.decides:
+                leaf = dr.select((leaf != NO_LEAF) & line.sure, _SURE, leaf)
             return replace(walk, leaves=leaves), leaf
 
         walk, leaf = dr.if_stmt(

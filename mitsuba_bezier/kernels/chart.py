@@ -9,9 +9,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
+from ..geometry.leaves import LEAST_REACH
 from .arrays import Types, dot3, gather_packets
-from .structure import AFFINE, BOUND_UNIT, PROJECTIVE, Structure
+from .structure import (
+    AFFINE,
+    LEAST_REMAINDER,
+    OUTWARD_BITS,
+    PROJECTIVE,
+    REACH_DIGITS,
+    REMAINDER_DIGITS,
+    Structure,
+)
 
 __all__ = ["ChartLine", "affine_line", "cull", "first_root", "projective_line", "root_fraction"]
 
@@ -30,17 +40,31 @@ class ChartLine:
     tau: Any
     end: Any  #: where the ray leaves the prism
     sign: Any  #: side of the surface the ray enters on; zero where the quadratic cannot tell
+    sure: Any  #: Bool: there certainly is a hit; never set where culling was not to decide
 
     @staticmethod
     def zero(ty: Types) -> ChartLine:
         """Return an uninitialised value for a loop's state."""
-        return ChartLine(dr.zeros(ty.Float64), *(dr.zeros(ty.Float) for _ in range(4)))
+        zero = dr.zeros(ty.Float)
+        return ChartLine(dr.zeros(ty.Float64), zero, zero, zero, zero, ty.Bool(False))
 
 
 def cull(
-    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
+    s: Structure,
+    ty: Types,
+    leaf: Any,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    decide: bool = False,
 ) -> tuple[Any, ChartLine]:
     """Cull with the leaf's quadratic.
+
+    Parameters
+    ----------
+    decide : bool
+        Whether to find out where there certainly is a hit, too; not in projective charts.
 
     Returns
     -------
@@ -49,14 +73,14 @@ def cull(
     line : ChartLine
     """
     if s.has_affine and not s.has_projective:
-        return _cull_affine(s, ty, leaf, o, d, t_max, active)
+        return _cull_affine(s, ty, leaf, o, d, t_max, active, decide)
     if not s.has_affine:
         return _cull_projective(s, ty, leaf - s.first_projective, o, d, t_max, active)
     straight = leaf < s.first_projective
     return dr.if_stmt(
         args=(leaf, o, d, t_max, active),
         cond=straight,
-        true_fn=lambda leaf, o, d, t, a: _cull_affine(s, ty, leaf, o, d, t, a),
+        true_fn=lambda leaf, o, d, t, a: _cull_affine(s, ty, leaf, o, d, t, a, decide),
         false_fn=lambda leaf, o, d, t, a: _cull_projective(
             s, ty, leaf - s.first_projective, o, d, t, a
         ),
@@ -65,7 +89,7 @@ def cull(
 
 
 def _cull_affine(
-    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
+    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any, decide: bool
 ) -> tuple[Any, ChartLine]:
     """Cull in float32; what that may be off is a part of the leaf's bounds.
 
@@ -84,11 +108,31 @@ def _cull_affine(
     ahead = -dot3(x0, e) * dr.rcp(dot3(e, e))
     x0 = [dr.fma(ahead, e[i], x0[i]) for i in range(3)]
     base = t0 + f64(ahead)
-    bits = dr.reinterpret_array(ty.UInt, record[15])
-    remainder = dr.square(ty.Float(bits & 0xFFFF)) * BOUND_UNIT
-    margin = dr.square(ty.Float(bits >> 16)) * BOUND_UNIT
+    word = dr.reinterpret_array(ty.UInt, record[15])
+    remainder = _number(ty, word, 0, REMAINDER_DIGITS, LEAST_REMAINDER)
+    outward = [_number(ty, word, at, REACH_DIGITS, LEAST_REACH) for at in OUTWARD_BITS]
+    inward = None
+    if decide:
+        words = [dr.reinterpret_array(ty.UInt, x) for x in record[12:15]]
+        inward = [_number(ty, word, 0, REACH_DIGITS, LEAST_REACH) for word in words]
     lo, hi = ty.Float(-base), ty.Float(f64(t_max) - base)
-    return _cull(base, x0, e, record[12:15], remainder, margin, lo, hi)
+    return _cull(base, x0, e, affine_quadratic(ty, record), remainder, outward, inward, lo, hi)
+
+
+def _number(ty: Types, word: Any, at: int, digits: tuple[int, int], least: float) -> Any:
+    """Return a number that `structure` packed into a word, from bit `at` on."""
+    exponent, mantissa = digits
+    left = 23 - mantissa - at  # to where a float has its exponent's last bits
+    bits = (word << left) if left >= 0 else (word >> -left)
+    bits = bits & ((2 ** (exponent + mantissa) - 1) << (23 - mantissa))
+    bits = bits + int(np.float32(least).view(np.uint32))
+    return ty.Float(dr.reinterpret_array(ty.Float32, bits))
+
+
+def affine_quadratic(ty: Types, record: list[Any]) -> list[Any]:
+    """Return the quadratic of an affine leaf."""
+    words = [dr.reinterpret_array(ty.UInt, x) & 0xFFFFFF00 for x in record[12:15]]
+    return [dr.reinterpret_array(ty.Float32, x) for x in words]
 
 
 def _rows(record: list[Any]) -> list[list[Any]]:
@@ -165,7 +209,7 @@ def _cull_projective(
     x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
     infinity = dr.full(ty.Float, dr.inf)
     zero = dr.zeros(ty.Float64)
-    return _cull(zero, x0, e, record[20:23], record[3], record[23], -infinity, infinity)
+    return _cull(zero, x0, e, record[20:23], record[3], [record[23]] * 3, None, -infinity, infinity)
 
 
 def _cull(
@@ -174,21 +218,30 @@ def _cull(
     e: list[Any],
     quadratic: list[Any],
     remainder: Any,
-    margin: Any,
+    outward: list[Any],
+    inward: list[Any] | None,
     lo: Any,
     hi: Any,
 ) -> tuple[Any, ChartLine]:
     a, b, c = quadratic
     bends = dr.abs(a) + dr.abs(b) + dr.abs(c)
-    # |quadratic| over the unit triangle enlarged by the margin, a little more to be safe
-    height = dr.fma(0.26 * bends, dr.square(dr.fma(margin, 3.0, 1.0)), remainder)
+    # |quadratic| over the enlarged triangle, a little more to be safe: with the sum m of `outward`,
+    # products of barycentrics are at most (1 + m)^2 / 4 or, where one is negative, m (1 + m)
+    total = outward[0] + outward[1] + outward[2]
+    height = dr.fma(bends, dr.fma(dr.fma(total, 1.3, 0.52), total, 0.26), remainder)
     w0, ew = 1.0 - x0[0] - x0[1], -e[0] - e[1]
-    for f0, f1 in ((x0[0], e[0]), (x0[1], e[1]), (w0, ew)):
-        # f0 + tau f1 >= -margin, on the line: a half-line. Where f1 = 0 it is all or nothing, and
+    inner_lo, inner_hi = lo, hi  # within what the leaf certainly covers
+    for k, (f0, f1) in enumerate(((x0[0], e[0]), (x0[1], e[1]), (w0, ew))):
+        # f0 + tau f1 >= -outward, on the line: a half-line. Where f1 = 0 it is all or nothing, and
         # taken for all
-        cut = (-margin - f0) * dr.rcp(f1)
+        inverse = dr.rcp(f1)
+        cut = (-outward[k] - f0) * inverse
         lo = dr.select((f1 > 0.0) & (cut > lo), cut, lo)
         hi = dr.select((f1 < 0.0) & (cut < hi), cut, hi)
+        if inward is not None:
+            cut = (inward[k] - f0) * inverse
+            inner_lo = dr.select((f1 > 0.0) & (cut > inner_lo), cut, inner_lo)
+            inner_hi = dr.select((f1 < 0.0) & (cut < inner_hi), cut, inner_hi)
     rising = dr.rcp(e[2])
     low, high = (-height - x0[2]) * rising, (height - x0[2]) * rising
     near, far = dr.select(rising > 0.0, low, high), dr.select(rising > 0.0, high, low)
@@ -209,7 +262,16 @@ def _cull(
     tau = dr.select(clear, lo + step, lo)
     candidate = (lo <= hi) & (~clear | (exists & (tau <= hi)))
     sign = dr.select(clear, sign, 0.0)
-    return candidate, ChartLine(base, gamma, tau, hi, sign)
+    sure = type(candidate)(False)
+    if inward is not None:
+        # over what the leaf covers the ray changes from one side of it to the other
+        first = dr.fma(dr.fma(gamma, inner_lo, slope0), inner_lo, alpha)
+        last = dr.fma(dr.fma(gamma, inner_hi, slope0), inner_hi, alpha)
+        sure = (inner_lo < inner_hi) & (first * last < 0.0)
+        sure = sure & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)
+        # along an edge the cuts above do not tell on which side of it
+        sure = sure & (e[0] * e[1] * ew != 0.0)
+    return candidate | sure, ChartLine(base, gamma, tau, hi, sign, sure)
 
 
 def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:

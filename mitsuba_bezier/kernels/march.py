@@ -12,7 +12,7 @@ import drjit as dr
 from ..geometry import bernstein
 from ..geometry.leaves import BENDING_LIMIT, SIZES
 from .arrays import Types, gather_packets, types_of
-from .chart import ChartLine, affine_line, projective_line, root_fraction
+from .chart import ChartLine, affine_line, affine_quadratic, projective_line, root_fraction
 from .grazing import polish
 from .net import graph_point
 from .quadric import edge_tolerance
@@ -87,7 +87,7 @@ def _march_affine(
     hit, t, u, v, closing = _march(
         s.degree,
         data,
-        record[12:15],
+        affine_quadratic(ty, record),
         x0,
         e,
         line,

@@ -9,7 +9,16 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import DEVIATION, FORM_ENTRIES, LEAST, SECTION, Leaves
+from ..geometry.leaves import (
+    DEVIATION,
+    FORM_ENTRIES,
+    INWARD,
+    LEAST,
+    LEAST_REACH,
+    OUTWARD,
+    SECTION,
+    Leaves,
+)
 from ..geometry.section_leaves import edge_planes
 from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
@@ -39,8 +48,12 @@ FEW = 3
 #: `SECTION`.
 DOMAIN = 16
 
-#: Bounds are stored as ``code**2 * BOUND_UNIT`` in 16 bits, rounded up: from 1e-9 to 4.
-BOUND_UNIT = 2.0**-30
+#: Bits of exponent and mantissa of the bounds of an affine leaf, which begin at the least they can
+#: be: the remainder has the lowest bits of the record's last word, three numbers `outward` those
+#: from `OUTWARD_BITS` on, three numbers `inward` the lowest of a, b and c.
+REMAINDER_DIGITS, LEAST_REMAINDER = (5, 6), 2.0**-29
+REACH_DIGITS = (4, 3)
+OUTWARD_BITS = (11, 18, 25)
 
 
 @dataclass
@@ -86,6 +99,11 @@ class Structure:
             dr.width(self.members) > dr.width(self.rows),
             dr.width(self.planes) * MEMBER // max(1, dr.width(self.rows)),
         )
+
+    @property
+    def decides(self) -> bool:
+        """Whether culling may tell that a ray certainly meets a leaf, trimmed nowhere."""
+        return self.has_affine and self.trim is None
 
     @property
     def has_affine(self) -> bool:
@@ -206,11 +224,27 @@ def _affine_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
     out = np.zeros((len(which), AFFINE), dtype=np.float32)
     out[:, 0:3] = leaves.shift[which]
     out[:, 3:12] = leaves.frame[which, :3, :3].reshape(-1, 9)
-    out[:, 12:15] = leaves.form[which, :3]
-    code = np.ceil(np.sqrt(leaves.form[which][:, [3, 6]] / BOUND_UNIT))
-    code = np.clip(code, 0, 65535).astype(np.uint32)
-    out[:, 15] = (code[:, 0] | (code[:, 1] << np.uint32(16))).view(np.float32)
+    out[:, 12:16] = _bounds_records(leaves.form[which]).view(np.float32)
     return out
+
+
+def _bounds_records(form: np.ndarray) -> np.ndarray:
+    """Return the last four floats of affine records, as bits."""
+    out = np.zeros((len(form), 4), dtype=np.uint32)
+    out[:, :3] = form[:, :3].astype(np.float32).view(np.uint32)
+    out[:, :3] |= _code(form[:, INWARD], REACH_DIGITS, LEAST_REACH)
+    out[:, 3] = _code(form[:, 3], REMAINDER_DIGITS, LEAST_REMAINDER)
+    outward = _code(form[:, OUTWARD], REACH_DIGITS, LEAST_REACH)
+    for e, shift in enumerate(OUTWARD_BITS):
+        out[:, 3] |= outward[:, e] << np.uint32(shift)
+    return out
+
+
+def _code(x: np.ndarray, digits: tuple[int, int], least: float) -> np.ndarray:
+    """Return numbers, rounded up, as so many bits of an exponent and of a mantissa."""
+    mantissa, exponent = np.frexp(np.maximum(x, least) / least)  # from 0.5 to 1
+    code = np.ceil((2 * mantissa - 2 + exponent) * 2 ** digits[1])
+    return np.minimum(code, 2 ** sum(digits) - 1).astype(np.uint32)
 
 
 def _projective_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:

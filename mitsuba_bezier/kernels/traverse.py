@@ -89,7 +89,7 @@ def search(
 
     def body(run, walk, t, leaf, u, v):
         def candidate(walk, run):
-            return _candidate(s, ty, first, walk, o, d, slabs, t, run, pairs=not any_hit)
+            return _candidate(s, ty, first, walk, o, d, slabs, t, run, any_hit)
 
         if any_hit:
             walk, index, line = _until_found(ty, candidate, walk, run)
@@ -129,6 +129,8 @@ def meet(
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Find the first hit in a leaf, or in a group of exact ones; or only whether there is one.
 
+    Then nothing is to be found where culling knew.
+
     Returns
     -------
     hit : Bool
@@ -138,6 +140,29 @@ def meet(
     leaf : UInt
         For a group, the member.
     """
+    if any_hit and s.decides:
+        hit, *found = dr.if_stmt(
+            args=(index, line, t_max),
+            cond=active & ~line.sure,
+            true_fn=lambda i, line, t: _meet(s, ty, i, line, o, d, t, active & ~line.sure, any_hit),
+            false_fn=lambda i, line, t: (line.sure, t, dr.zeros(ty.Float), dr.zeros(ty.Float), i),
+            label="bezier undecided",
+        )
+        return active & hit, *found
+    return _meet(s, ty, index, line, o, d, t_max, active, any_hit)
+
+
+def _meet(
+    s: Structure,
+    ty: Types,
+    index: Any,
+    line: ChartLine,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    any_hit: bool,
+) -> tuple[Any, Any, Any, Any, Any]:
     if s.has_groups and (s.has_affine or s.has_projective):
         return dr.if_stmt(
             args=(active, index, line, t_max),
@@ -177,21 +202,38 @@ def finish(
 
 
 def take_candidate(
-    s: Structure, ty: Types, first: Any, leaves: Any, o: Any, d: Any, t_max: Any, run: Any
+    s: Structure,
+    ty: Types,
+    first: Any,
+    leaves: Any,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    run: Any,
+    any_hit: bool,
 ) -> tuple[Any, Any, ChartLine]:
     """Take a leaf out of a walk's `leaves`, and turn it down if it is culled."""
     leaves, leaf = take_leaf(s.nodes, ty, first, leaves, run)
     known = run & (leaf != NO_LEAF)
-    candidate, line = cull_leaf(s, ty, leaf, o, d, t_max, known)
+    candidate, line = cull_leaf(s, ty, leaf, o, d, t_max, known, any_hit)
     return leaves, dr.select(candidate, leaf, NO_LEAF), line
 
 
 def cull_leaf(
-    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
+    s: Structure,
+    ty: Types,
+    leaf: Any,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    any_hit: bool,
 ) -> tuple[Any, ChartLine]:
     """Cull a leaf as `chart.cull` does, or let a group pass."""
     graph = active & (leaf < s.first_group) if s.has_groups else active
-    candidate, line = cull(s, ty, leaf, o, d, t_max, graph)
+    candidate, line = cull(s, ty, leaf, o, d, t_max, graph, any_hit and s.decides)
+    if s.has_groups:
+        line = replace(line, sure=line.sure & graph)
     return active & (candidate | ~graph), line
 
 
@@ -226,23 +268,23 @@ def _candidate(
     slabs: Slabs,
     t_max: Any,
     run: Any,
-    pairs: bool,
+    any_hit: bool,
 ) -> tuple[Walk, Any, ChartLine]:
     """Walk to the next node with leaves, and find the first that its quadratic does not exclude.
 
-    There may be none, and still more of the tree. Leaves may be culled in `pairs`: that takes
-    less than twice the time of one, most of which is waiting for results.
+    There may be none, and still more of the tree. For the closest hit leaves are culled in pairs:
+    that takes less than twice the time of one, most of which is waiting for results.
     """
     if not (s.has_affine or s.has_projective):
         walk, leaf = next_leaf(s.nodes, ty, first, walk, slabs, t_max, run)
         return walk, leaf, ChartLine.zero(ty)
 
     def take(leaves, go):
-        return take_candidate(s, ty, first, leaves, o, d, t_max, go)
+        return take_candidate(s, ty, first, leaves, o, d, t_max, go, any_hit)
 
     def body(go, leaves, leaf, line):
         leaves, leaf, line = take(leaves, go)
-        if pairs:
+        if not any_hit:
             others, second, its_line = take(leaves, go)
             found = leaf != NO_LEAF
             # a second candidate stays, and will be culled again
