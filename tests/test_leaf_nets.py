@@ -7,7 +7,9 @@ import pytest
 
 from mitsuba_bezier.geometry import bernstein, shapes
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import Leaves
+from mitsuba_bezier.geometry.leaves import LeafSettings, Leaves
+
+GENERAL = LeafSettings(closed_form=False)
 
 
 def _value(leaves: Leaves, u: float, v: float) -> np.ndarray:
@@ -16,7 +18,7 @@ def _value(leaves: Leaves, u: float, v: float) -> np.ndarray:
 
 
 def test_joined_leaves_keep_their_nets_when_degrees_differ() -> None:
-    quadratic = build_leaves(shapes.disk())
+    quadratic = build_leaves(shapes.disk(), GENERAL)
     quartic = build_leaves(shapes.torus())
     assert not quadratic.exact.any()
     joined = Leaves.join([quadratic, quartic])
@@ -31,7 +33,7 @@ def test_a_cone_has_few_leaves() -> None:
     cone = shapes.cone((0, 0, 0), (0.52, 0.52), 1.35)
     # 93 a level and patch down to 1e-6 of the apex' height, which is level 10: about 2800;
     # before, ten million
-    assert len(build_leaves(cone)) < 4000
+    assert len(build_leaves(cone, GENERAL)) < 4000
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 9])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,13 @@ from .exact_leaves import exact_leaves
 from .graph_leaves import subdivide
 from .leaves import DEVIATION, LeafSettings, Leaves
 from .section_leaves import section_leaves
+from .sector_leaves import sector_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["build_leaves", "rebuild_leaves"]
+
+#: Finds patches with a closed form, and returns which and their leaves.
+Finder = Callable[[BezierTriangles], tuple[np.ndarray, Leaves]]
 
 #: Patches subdivided at a time: bounds the memory of the build, not its result.
 _CHUNK = 4096
@@ -39,12 +44,14 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     numbers = np.arange(len(patches))
     parts: list[Leaves] = []
     if settings.closed_form:
-        for find in (exact_leaves, _elevated_leaves, section_leaves)[
-            : 3 if settings.sections else 2
-        ]:
-            if not len(numbers):
+        quadratic = (exact_leaves, sector_leaves) if settings.sections else (exact_leaves,)
+        for find in (*quadratic, _elevated_leaves, section_leaves):
+            if not len(numbers) or (find is section_leaves and not settings.sections):
                 break
-            found, exact = find(patches[numbers])
+            if find is _elevated_leaves:
+                found, exact = _elevated_leaves(patches[numbers], quadratic)
+            else:
+                found, exact = find(patches[numbers])
             if len(exact):
                 exact.patch = numbers[exact.patch]
                 parts.append(exact)
@@ -55,22 +62,25 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     return Leaves.join(parts)
 
 
-def _elevated_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
-    """Find patches that are elevations of exact leaves; see `exact_leaves`."""
+def _elevated_leaves(
+    patches: BezierTriangles, finders: Sequence[Finder]
+) -> tuple[np.ndarray, Leaves]:
+    """Find patches that are elevations of those that `finders` find."""
     found = np.zeros(len(patches), dtype=bool)
     parts = [Leaves.empty(patches.control_points.shape[1])]
     for degree in range(1, min(patches.degree, 3)):
-        numbers = np.flatnonzero(~found)
-        if not len(numbers):
-            break
-        reducible, lower, residual = reduce_degree(patches[numbers], degree)
-        if lower is None:
-            continue
-        exact, leaves = exact_leaves(lower)
-        leaves.form[:, DEVIATION] += residual[leaves.patch]
-        leaves.patch = numbers[reducible][leaves.patch]
-        found[numbers[reducible][exact]] = True
-        parts.append(leaves)
+        for find in finders:
+            numbers = np.flatnonzero(~found)
+            if not len(numbers):
+                break
+            reducible, lower, residual = reduce_degree(patches[numbers], degree)
+            if lower is None:
+                break
+            exact, leaves = find(lower)
+            leaves.form[:, DEVIATION] += residual[leaves.patch]
+            leaves.patch = numbers[reducible][leaves.patch]
+            found[numbers[reducible][exact]] = True
+            parts.append(leaves)
     return found, Leaves.join(parts)
 
 

@@ -11,7 +11,8 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     store. Every intersection has a closed form. All patches of `quadric_patch` and all planar
     triangles of degree one are of this kind. So are patches of higher degree on an ellipsoid
     whose edges are plane sections: then the rows give the stereographic coordinates of a point,
-    and the net stores two complex polynomials, from which the parameters are found.
+    and the net stores two complex polynomials, from which the parameters are found. And so are
+    sectors of cones and disks, with four rows.
 *graph* leaves
     Everything else, subdivided until the bounds below are small. For them we store the
     quadratic ``a xy + b x(1-x-y) + c y(1-x-y)`` next to ``h`` and
@@ -45,6 +46,7 @@ from . import bernstein
 __all__ = [
     "BENDING_LIMIT",
     "DEVIATION",
+    "DISK",
     "FORM",
     "FORM_ENTRIES",
     "INWARD",
@@ -72,13 +74,18 @@ LEAST = 10
 #: Place of the largest distance of an exact leaf's patch from its quadric, in patch sizes.
 DEVIATION = 11
 
-#: Place of the mark of an exact leaf whose frame gives stereographic coordinates, not barycentrics:
-#: those need a few steps of Newton's method, on the net; see `section_leaves`.
+#: Place of the mark of an exact leaf whose frame does not give barycentrics: 1 if it gives
+#: stereographic coordinates, and barycentrics need a few steps of Newton's method, on the net
+#: (`section_leaves`); -1, -2 or -3 for a sector of a cone with its apex in this corner, -4, -5 or
+#: -6 for one of a disk with its middle there (`sector_leaves`).
 SECTION = 12
 
 #: Places in the form of a graph leaf of its `outward` and `inward`.
 OUTWARD = slice(13, 16)
 INWARD = slice(16, 19)
+
+#: Places in the form of a sector of a disk of the coordinates of its ``D`` (`sector_leaves`).
+DISK = slice(13, 16)
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
 FORM_ENTRIES = (
@@ -156,8 +163,9 @@ class LeafSettings:
     closed_form : bool
         Whether patches with a linear inverse become exact leaves.
     sections : bool
-        Whether patches of higher degree on an ellipsoid, between plane sections, do. Not where
-        the parameters of every hit are needed, as for trimmed patches.
+        Whether patches do that are bounded by planes on an ellipsoid, of higher degree, and
+        sectors of cones and disks. Not where the parameters of every hit are needed, as for
+        trimmed patches.
     """
 
     lateral: float = 0.8
@@ -177,7 +185,7 @@ class Leaves:
     domain: np.ndarray  #: (L, 3, 3) leaf barycentrics to patch barycentrics, homogeneous
     exact: np.ndarray  #: (L,) bool
     shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
-    frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: u, v, w, 0) on (p - shift, 1)
+    frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: mostly u, v, w, 0) on (p - shift, 1)
     form: np.ndarray  #: (L, 19) a b c, bounds, six for (u, v), six for edges (exact: quadric)
     net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1) (exact: P, Q or 0)
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import bernstein
-from .leaves import DEVIATION, FORM_ENTRIES, Leaves
+from .leaves import DEVIATION, FORM_ENTRIES, SECTION, Leaves
 from .triangles import BezierTriangles
 
 __all__ = ["centre_and_size", "fit_forms", "grouped", "local_nets", "quadric_leaves"]
@@ -28,14 +28,14 @@ def quadric_leaves(
         Those meant.
     shift : (L, 3) array
         Origin of the records.
-    rows : (L, 3, 4) array
-        Take ``(p - shift, 1)`` to the barycentrics of the leaf.
+    rows : (L, 3, 4) or (L, 4, 4) array
+        Take ``(p - shift, 1)`` to the barycentrics of the leaf, or what else finds these.
     form : (L, FORM) array
         The quadric and more, see `leaves`.
     """
     k = patches.control_points.shape[1]
     frame = np.zeros((len(which), 4, 4))
-    frame[:, :3] = rows
+    frame[:, : rows.shape[1]] = rows
     leaves = Leaves(
         patch=which,
         domain=np.broadcast_to(np.eye(3), (len(which), 3, 3)).copy(),
@@ -187,12 +187,30 @@ def _share(
     if form is None:
         form = flat[part].mean(axis=0).reshape(4, 4)
     form = move.T @ form @ move
+    cones = part[(leaves.form[part, SECTION] < 0) & (leaves.form[part, SECTION] >= -3)]
+    if len(cones):
+        corner = (-1 - leaves.form[cones, SECTION]).astype(int)
+        rows = np.array(bernstein.corner_rows(patches.degree))[corner]
+        apex = patches.control_points[cones, rows]
+        form = _with_apex(form, (apex[:, :3] / apex[:, 3:]).mean(axis=0) - shift)
     form /= np.abs(form).max()
     leaves.form[part, :10] = [form[i, j] for i, j in FORM_ENTRIES]
     leaves.frame[part, :, 3] += np.einsum(
         "lrc,lc->lr", leaves.frame[part, :, :3], shift - leaves.shift[part]
     )
     leaves.shift[part] = shift
+
+
+def _with_apex(form: np.ndarray, apex: np.ndarray) -> np.ndarray:
+    """Return the cone with this apex that differs from a quadric by rounding.
+
+    A quadric fitted to points in float32 is off by 1e-7: next to the apex of a cone it may be a
+    hyperboloid, with a neck of the root of that.
+    """
+    out = form.copy()
+    out[:3, 3] = out[3, :3] = -form[:3, :3] @ apex
+    out[3, 3] = apex @ form[:3, :3] @ apex
+    return out
 
 
 def _fit_together(

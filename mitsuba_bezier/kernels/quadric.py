@@ -20,6 +20,9 @@ EDGE = 1e-6
 EDGE_GRAZING = 3e-3
 #: Error across the surface of a graph leaf in float32, in leaf sizes.
 ACROSS = 1e-7
+#: Rounding of the discriminant of a cone, over the square of half the linear coefficient: a few
+#: hundred roundings of float64, and the square of a distance well below one of float32.
+APEX = 1e-14
 #: Rounding of a member's rows, in their own scale; it matters where all three coordinates are
 #: small, at the centre of projection (the tip of a lune).
 ROWS = 2e-7
@@ -86,13 +89,25 @@ def group_hit(
     near = dr.select(swap, exact2, exact1)
     far = dr.select(swap, exact1, dr.select(linear, dr.inf, exact2))
     t1, t2 = ty.Float(t0 + near), ty.Float(t0 + far)
-    valid = active & (disc >= 0.0)
+    # a line through the apex has a double root, which rounding must not take away
+    valid = active & ((dr.fma(APEX * b, b, disc) if s.has_cones else disc) >= 0.0)
     want1 = valid & (t1 > 0.0) & (t1 < t_max)
     want2 = valid & (t2 > 0.0) & (t2 < t_max)
-    gradient2 = ty.Float(dot3([ax, ay, az], [ax, ay, az]))
-    tolerance = edge_tolerance(root * dr.rsqrt(gradient2 * length2), ty.Float(g[15]))
     middle = [ty.Float(p[i]) for i in range(3)]
     near32, far32 = ty.Float(near), ty.Float(far)
+    gradient = [ty.Float(x) for x in (ax, ay, az)]
+
+    def tolerance_for(gradient: list[Any]) -> Any:
+        cosine = root * dr.rsqrt(dot3(gradient, gradient) * length2)
+        return edge_tolerance(cosine, ty.Float(g[15]))
+
+    tolerance1 = tolerance2 = tolerance_for(gradient)
+    if s.has_cones:  # where the gradient has no size that it has everywhere, more or less
+        turn = [ty.Float(x) for x in (qx, qy, qz)]
+        tolerance1, tolerance2 = (
+            tolerance_for([dr.fma(x, turn[i], gradient[i]) for i in range(3)])
+            for x in (near32, far32)
+        )
     p1 = [dr.fma(near32, d[i], middle[i]) for i in range(3)]
     p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
 
@@ -109,26 +124,39 @@ def group_hit(
     none = dr.zeros(ty.UInt)
     state = (want1 | want2, k, following, ty.Bool(False), ty.Bool(False), none, none)
 
-    def inside(m: list[Any], p: list[Any]) -> Any:
-        bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
+    def inside(m: list[Any], p: list[Any], tolerance: Any) -> Any:
+        bary = _values(m, p)
         total = bary[0] + bary[1] + bary[2]
         # Compared before a division: near the centre of projection all four are roundings.
         # Only patches that reach the centre, the lunes, may have a hit there.
         size = dr.abs(total)
-        sign = dr.select(m[14] > 0.0, m[14], total)  # planes have sides, barycentrics have not
+        sign = dr.select(m[14] != 0.0, 1.0, total)  # planes have sides, barycentrics have not
         signed = [dr.mulsign(b, sign) for b in bary]
         lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
         return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
 
+    def in_disk(leaf: Any, bary: list[Any], active: Any) -> Any:
+        number = dr.select(active, leaf - s.first_group, 0)
+        d = gather_packets(s.rows, 2 * number + 1, 8, active)[4:]
+        inverse = dr.rcp(bary[0] + bary[1] + bary[2])
+        u, v = _in_disk(bary[0] * inverse, bary[1] * inverse, [ty.Float(x) for x in d])
+        return dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance1
+
     def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
         point = [dr.fma(along, dd[i], p[i]) for i in range(3)]
-        return _barycentrics(s, ty, leaf, point, active)
+        planar = None
+        if s.has_cones and s.has_disks:
+            planar = sum(dr.abs(a[i]) for i in range(6)) == 0.0
+        return _barycentrics(s, ty, leaf, point, planar, active)
 
     def body(run, k, following, hit1, hit2, leaf1, leaf2):
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
-        in1 = want1 & ~hit1 & inside(m, p1)
-        in2 = want2 & ~hit2 & inside(m, p2)
+        is_in1, is_in2 = inside(m, p1, tolerance1), inside(m, p2, tolerance2)
+        if s.has_disks:  # a plane is met once
+            disk = m[14] <= -4.0
+            is_in1 = dr.select(disk, in_disk(leaf, _values(m, p1), run & disk), is_in1)
+        in1, in2 = want1 & ~hit1 & is_in1, want2 & ~hit2 & is_in2
         kept = leaf_test(s, leaf)
         if kept is not None:
             in1 = in1 & kept(*parameters(leaf, near, in1), in1)
@@ -148,6 +176,7 @@ def group_hit(
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
     along = dr.select(hit1, near, far)
     u, v = parameters(leaf, along, hit)
+    tolerance = dr.select(hit1, tolerance1, tolerance2)
     u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
     return hit, dr.select(hit1, t1, t2), u, v, leaf
 
@@ -165,11 +194,52 @@ def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active
     return (dr.reinterpret_array(ty.UInt, word) >> ((bits & 7) << 2)) & 15
 
 
-def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
-    """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32."""
-    m = gather_packets(s.rows, dr.select(active, leaf - s.first_group, 0), 12, active)
-    bary = [dot3(m[4 * r : 4 * r + 3], p) + m[4 * r + 3] for r in range(3)]
-    total = bary[0] + bary[1] + bary[2]
-    total = ty.Float(total)
+def _values(rows: list[Any], p: list[Any]) -> list[Any]:
+    """Return three linear forms of a point."""
+    return [dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3] for r in range(3)]
+
+
+def _barycentrics(
+    s: Structure, ty: Types, leaf: Any, p: list[Any], planar: Any, active: Any
+) -> tuple[Any, Any]:
+    """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32.
+
+    For sectors these are the first two from the corner on that is their middle. `planar` tells a
+    disk from a cone where there are both.
+    """
+    sectors = s.has_cones or s.has_disks
+    number = dr.select(active, leaf - s.first_group, 0)
+    m = gather_packets(s.rows, number, MEMBER if sectors else 12, active)
+    bary = _values(m, p)
+    total = ty.Float(bary[0] + bary[1] + bary[2])
     inv = dr.rcp(dr.select(total == 0.0, 1.0, total))
-    return ty.Float(bary[0]) * inv, ty.Float(bary[1]) * inv
+    b0, b1, b2 = (ty.Float(b) for b in bary)
+    u, v = b0 * inv, b1 * inv
+    if not sectors:
+        return u, v
+    # all that is no sector has a fourth row of zeros
+    if s.has_disks:
+        u, v = _in_disk(u, v, [ty.Float(x) for x in m[12:16]])
+    if s.has_cones:
+        last = ty.Float(dot3(m[12:15], p) + m[15])
+        is_cone = last != 0.0
+        if planar is not None:
+            is_cone = is_cone & ~planar
+        # through the larger: where a coordinate is small its root is not well known
+        first = b0 >= b2
+        large = dr.maximum(dr.select(first, b0, b2), 1e-30)
+        one = dr.sqrt(large / last)
+        other = one * b1 / (2.0 * large)
+        u = dr.select(is_cone, dr.select(first, one, other), u)
+        v = dr.select(is_cone, dr.select(first, other, one), v)
+    return u, v
+
+
+def _in_disk(a: Any, b: Any, disk: list[Any]) -> tuple[Any, Any]:
+    """Return parameters of a sector of a disk; see `geometry.sector_leaves`."""
+    d0, d1, _d2, total = disk
+    e, f = dr.fma(total, a, -d0), dr.fma(total, b, -d1)
+    half = 1.0 - dr.fma(e, b, f * a)
+    root = dr.sqrt(dr.maximum(dr.fma(half, half, -4.0 * (e * f) * (a * b)), 0.0))
+    k = 2.0 * (a * b) / (half + root)
+    return dr.fma(k, e, a), dr.fma(k, f, b)

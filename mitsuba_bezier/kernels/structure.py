@@ -11,6 +11,7 @@ import numpy as np
 from ..geometry import bernstein
 from ..geometry.leaves import (
     DEVIATION,
+    DISK,
     FORM_ENTRIES,
     INWARD,
     LEAST,
@@ -20,6 +21,7 @@ from ..geometry.leaves import (
     Leaves,
 )
 from ..geometry.section_leaves import edge_planes
+from ..geometry.sector_leaves import cone_planes
 from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
 
@@ -75,7 +77,9 @@ class Structure:
     #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
     only_group: list[Any] | None
     members: Any  #: Float32, x `MEMBER`
-    rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
+    #: Float64, x `MEMBER`: the rows of each member, unscaled; in place of the fourth the three
+    #: numbers of a disk, and their sum.
+    rows: Any
     planes: Any  #: Float32, x K * 4: P and Q of each member (`section_leaves`), if one is a section
     domain: Any  #: Float32, x `DOMAIN`; nothing where leaves are patches, all of one kind
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
@@ -84,6 +88,8 @@ class Structure:
     graph_count: int  #: affine and projective
     group_count: int
     has_sections: bool  #: whether parameters of some exact leaves take an iteration
+    has_cones: bool  #: whether some exact leaves are sectors of cones
+    has_disks: bool  #: ... or of disks
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
@@ -95,6 +101,8 @@ class Structure:
             self.has_affine,
             self.has_projective,
             self.has_groups,
+            self.has_cones,
+            self.has_disks,
             dr.width(self.domain) < self.leaf_count * DOMAIN,
             dr.width(self.members) > dr.width(self.rows),
             dr.width(self.planes) * MEMBER // max(1, dr.width(self.rows)),
@@ -178,7 +186,7 @@ def build_structure(
         "far_nets": _nets(leaves, projective),
         "groups": _groups(leaves, exact, group_first, group_size),
         "members": _members(leaves, exact, len(graph)),
-        "rows": np.pad(leaves.frame[exact, :3].reshape(-1, 12), ((0, 0), (0, MEMBER - 12))),
+        "rows": _rows(leaves, exact),
         "planes": _planes(leaves, exact) if sections else np.zeros((0, 8), dtype=np.float32),
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
@@ -200,6 +208,8 @@ def build_structure(
         graph_count=len(graph),
         group_count=len(group_first),
         has_sections=sections,
+        has_cones=bool(_is_cone(leaves, exact).any()),
+        has_disks=bool((leaves.form[exact, SECTION] < -3).any()),
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values())
         + nodes.bytes
@@ -277,6 +287,19 @@ def _groups(leaves: Leaves, exact: np.ndarray, first: np.ndarray, size: np.ndarr
     return out
 
 
+def _rows(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
+    rows = leaves.frame[exact].reshape(-1, MEMBER)
+    disk = leaves.form[exact, SECTION] < -3
+    d = leaves.form[exact][disk, DISK]
+    rows[disk, 12:15], rows[disk, 15] = d, d.sum(axis=1)
+    return rows
+
+
+def _is_cone(leaves: Leaves, which: np.ndarray) -> np.ndarray:
+    mark = leaves.form[which, SECTION]
+    return (mark < 0) & (mark >= -3)
+
+
 def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     out = np.zeros((len(exact), MEMBER), dtype=np.float32)
     rows = leaves.frame[exact, :3]
@@ -284,6 +307,10 @@ def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     if len(sections):
         rows = rows.copy()
         rows[sections] = edge_planes(leaves.select(exact[sections]))
+    cones = np.flatnonzero(_is_cone(leaves, exact))
+    if len(cones):
+        rows = rows.copy()
+        rows[cones] = cone_planes(leaves.select(exact[cones]))
     # scaled to what the rows give at the patch, so that an error of float32 has one size
     reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
     scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
@@ -320,7 +347,7 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
             value = value.reshape(count, 3, -1)
             total = value.sum(axis=1)
             # planes have sides, barycentrics have not
-            sign = np.where(mine[:, 14:15] > 0, 1.0, np.sign(total))
+            sign = np.where(mine[:, 14:15] != 0, 1.0, np.sign(total))
             lowest = (value * sign[:, None]).min(axis=1) / np.maximum(np.abs(total), 1e-30)
             likely = lowest.argmax(axis=0).astype(np.uint32).reshape(-1, 8)
             words = (likely << np.arange(0, 32, 4, dtype=np.uint32)).sum(axis=1, dtype=np.uint32)
@@ -365,6 +392,7 @@ def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.n
         and leaves.exact.all()
         and (leaves.patch[order] == np.arange(len(order))).all()
         and (section == section[0]).all()
+        and section[0] >= 0
     ):
         return np.zeros((0, DOMAIN), dtype=np.float32)  # leaf and patch are the same
     out = np.zeros((len(order), DOMAIN), dtype=np.float32)

@@ -1,0 +1,148 @@
+"""Sectors of cones and of disks, as leaves with a closed form (see `leaves`).
+
+Both are quadratic patches with two straight edges, between a corner ``A`` and those of an arc
+``P, Q, R``, and no linear form gives their parameters.
+
+*Cones.* If all control points but those of the arc lie in the apex, the patch is
+``u^2 P + 2 u v Q + v^2 R + (1 - (u + v)^2) A``, homogeneously. With coordinates
+``(b_0, b_1, b_2, a)`` for ``P, Q, R, A`` it lies on the cone ``b_1^2 = 4 b_0 b_2``, within the
+planes ``b_1 >= 0``, ``b_0 + b_2 >= 0`` and ``a >= 0``; and with ``l = b_0 + b_1 + b_2 + a`` the
+parameters are ``u^2 = b_0 / l`` and ``v / u = b_1 / (2 b_0)``.
+
+*Disks.* If the patch is planar, and the control point on each straight edge in its middle, it is
+``u P + v R + w A + u v D`` with ``D = 2 Q - P - R``. Let the coordinates for ``P, R, A`` of the
+point, which sum to one, be ``(a, b, 1 - a - b)``, those of ``D`` ``(d_0, d_1, d_2)``, and their sum
+``s``; then ``k = u v`` gives ``u = a + k (s a - d_0)`` and ``v = b + k (s b - d_1)``. So it is a
+root of ``k = (a + k (s a - d_0)) (b + k (s b - d_1))``: the one that vanishes with ``a b``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from . import bernstein
+from .leaves import DISK, FORM, FORM_ENTRIES, SECTION, Leaves
+from .quadric_groups import local_nets, quadric_leaves
+from .triangles import BezierTriangles
+
+__all__ = ["cone_planes", "sector_leaves"]
+
+#: Control points are where they should be up to this: nets come through Mitsuba's float32 tensors
+#: (6e-8).
+_ROUNDING = 3e-7
+#: Singular values below this share of the largest leave the coordinates undetermined.
+_DETERMINED = 1e-3
+
+#: Tells which were found, rows and form in units of the net, and `DISK`, from the points A, P, Q, R
+#: and those on the straight edges.
+_Finder = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+
+
+def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+    """Find such patches, with ``A`` in any corner, and return ``(mask, leaves)``."""
+    n, nets = patches.degree, patches.control_points
+    found = np.zeros(len(nets), dtype=bool)
+    w = nets[..., 3]
+    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    if n != 2 or not sign.any():
+        return found, Leaves.empty(bernstein.size(n))
+    local, shift, size = local_nets(patches)
+    local *= sign[:, None, None]
+    rows, forms = np.zeros((2, len(nets), 4, 4))
+    mark, disk = np.zeros(len(nets)), np.zeros((len(nets), 3))
+    finders: tuple[_Finder, ...] = (_cones, _disks)
+    for kind, find in enumerate(finders):
+        for corner in range(3):
+            which = np.flatnonzero((sign != 0) & ~found)
+            i, j = (corner + 1) % 3, (corner + 2) % 3
+            pairs = ((corner, corner), (i, i), (i, j), (j, j), (i, corner), (j, corner))
+            good, *found_there = find(*(local[which, _row(*pair)] for pair in pairs))
+            which = which[good]
+            rows[which], forms[which], disk[which] = (x[good] for x in found_there)
+            mark[which] = -1.0 - corner - 3 * kind
+            found[which] = True
+    which = np.flatnonzero(found)
+    if not len(which):
+        return found, Leaves.empty(bernstein.size(n))
+    units = np.ones((len(which), 4))
+    units[:, :3] /= size[which, None]
+    forms = forms[which] / np.abs(forms[which]).max(axis=(1, 2), keepdims=True)
+    forms *= units[:, None] * units[:, :, None] * size[which, None, None]
+    form = np.zeros((len(which), FORM))
+    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    form[:, SECTION], form[:, DISK] = mark[which], disk[which]
+    rows = rows[which] * units[:, None]
+    return found, quadric_leaves(patches, which, shift[which], rows, form)
+
+
+def cone_planes(leaves: Leaves) -> np.ndarray:
+    """Return the planes that bound sectors of cones, rows ``(L, 3, 4)`` on ``(p - shift, 1)``."""
+    b0, b1, b2, total = leaves.frame.transpose(1, 0, 2)
+    return np.stack([b1, b0 + b2, total - b0 - b1 - b2], axis=1)
+
+
+def _row(i: int, j: int) -> int:
+    """Return the row of the control point between corners `i` and `j` of a quadratic net."""
+    ijk = [0, 0, 0]
+    ijk[i] += 1
+    ijk[j] += 1
+    return bernstein.row(2, ijk[0], ijk[1])
+
+
+def _near(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    return np.abs(points - others).max(axis=1) <= _ROUNDING
+
+
+def _coordinates(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the four points of bases ``(P, 4, 4)`` are one, and the rows of coordinates."""
+    s = np.linalg.svd(basis, compute_uv=False)
+    good = s[:, 3] > _DETERMINED * s[:, 0]
+    basis = np.where(good[:, None, None], basis, np.eye(4))
+    return good, np.linalg.inv(basis.transpose(0, 2, 1))
+
+
+def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the quadratic forms ``2 x(p) y(p)`` of linear forms ``(P, 4)``."""
+    mixed = x[:, :, None] * y[:, None]
+    return mixed + mixed.transpose(0, 2, 1)
+
+
+def _cones(
+    a: np.ndarray, p: np.ndarray, q: np.ndarray, r: np.ndarray, ap: np.ndarray, ar: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    apex = (a + ap + ar) / 3
+    good, rows = _coordinates(np.stack([p, q, r, apex], axis=1))
+    good &= _near(a, apex) & _near(ap, apex) & _near(ar, apex)
+    form = _product(rows[:, 1], rows[:, 1]) / 2 - 2 * _product(rows[:, 0], rows[:, 2])
+    rows[:, 3] = rows.sum(axis=1)
+    return good, rows, form, np.zeros((len(rows), 3))
+
+
+def _disks(
+    a: np.ndarray, p: np.ndarray, q: np.ndarray, r: np.ndarray, ap: np.ndarray, ar: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    net = np.stack([p, r, a, q], axis=1)
+    _u, s, vt = np.linalg.svd(net)
+    good = (s[:, 3] <= _ROUNDING * s[:, 0]) & _near(2 * ap, a + p) & _near(2 * ar, a + r)
+    plane = vt[:, 3]
+    good &= np.linalg.norm(plane[:, :3], axis=1) > 1e-12  # not the plane at infinity
+    independent, rows = _coordinates(np.concatenate([net[:, :3], plane[:, None]], axis=1))
+    good &= independent
+    d = np.einsum("prc,pc->pr", rows[:, :3], 2 * q - p - r)
+    rows[:, 3] = 0.0
+    infinity = np.broadcast_to([0.0, 0, 0, 1], plane.shape)
+    # all of the patch on this branch of the root, not where roots meet
+    u, v = (bernstein.multi_indices(12)[:, :2] / 12.0).T
+    with np.errstate(all="ignore"):
+        point = np.stack([u, v, 1 - u - v]) + (u * v) * d[:, :, None]
+        x, y = point[:, 0] / point.sum(axis=1), point[:, 1] / point.sum(axis=1)
+        e, f = (d.sum(axis=1)[:, None] * z - d[:, k, None] for k, z in enumerate((x, y)))
+        half = 1 - e * y - f * x
+        root = np.sqrt(half**2 - 4 * e * f * x * y)
+        k = 2 * x * y / (half + root)
+        good &= (point.sum(axis=1) > _DETERMINED).all(axis=1)
+        good &= (half > 0).all(axis=1) & (root > _DETERMINED).all(axis=1)
+        good &= (np.abs(x + e * k - u) < 1e-9).all(axis=1)
+    return good, rows, _product(plane, infinity), d
