@@ -7,7 +7,8 @@ from typing import Any
 import drjit as dr
 
 from .arrays import Types, dot3, gather_packets
-from .structure import FEW, GROUP, MEMBER, TABLE, Structure
+from .quadric_records import FEW, GROUP, MEMBER, TABLE
+from .structure import Structure
 from .trim import leaf_test
 
 __all__ = ["edge_tolerance", "group_hit"]

@@ -9,7 +9,8 @@ import drjit as dr
 from ..geometry import bernstein
 from .arrays import Types, gather_packets
 from .net import horner
-from .structure import MEMBER, Structure
+from .quadric_records import MEMBER
+from .structure import Structure
 
 __all__ = ["section_parameters"]
 

@@ -9,43 +9,31 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import (
-    DEVIATION,
-    DISK,
-    FORM_ENTRIES,
-    INWARD,
-    LEAST,
-    LEAST_REACH,
-    OUTWARD,
-    SECTION,
-    Leaves,
-)
-from ..geometry.section_leaves import edge_planes
-from ..geometry.sector_leaves import cone_planes
+from ..geometry.leaves import INWARD, LEAST_REACH, OUTWARD, SECTION, Leaves
 from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
+from .quadric_records import (
+    MEMBER,
+    group_records,
+    inverse_records,
+    is_cone,
+    member_records,
+    ranges,
+    section_records,
+)
 
 if TYPE_CHECKING:
     from .trim import TrimTable
 
 __all__ = ["Structure", "build_structure"]
 
-#: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, two bounds packed.
+#: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, the remainder,
+#: and bits for more, see below.
 AFFINE = 16
 #: Floats in a projective leaf's record: shift 3, remainder, 4x4 chart 16, a b c, margin.
 PROJECTIVE = 24
 #: Floats before the net: variation, bending, the six numbers of the parameter quadratics.
 HEAD = 8
-#: Float64 in a group: quadric 10, shift 3, first member, number of members, `DEVIATION`.
-GROUP = 16
-#: Floats in a member of a group: rows of four for its three sides, leaf number as bits, `LEAST`,
-#: `SECTION`.
-MEMBER = 16
-#: Before the members of each group, if one has at least `FEW`, so many records: a table of four
-#: bits for each of 8 x 8 x 8 cells about the group's origin, the member that covers it most likely.
-#: The last float of the group's first member holds the three factors that take lengths to cells.
-TABLE = 4
-FEW = 3
 #: Floats in a domain record: leaf-to-patch map 9, then as bits the patch, and 1 + the trim cell;
 #: `SECTION`.
 DOMAIN = 16
@@ -155,7 +143,7 @@ def build_structure(
     graph = np.concatenate([affine, projective])
     order = np.concatenate([graph, exact])
 
-    group_first, group_size = _ranges(leaves.group[exact])
+    group_first, group_size = ranges(leaves.group[exact])
     boxes = leaves.box[graph]
     if len(exact):
         member_box = leaves.box[exact]
@@ -184,10 +172,10 @@ def build_structure(
         "projective": _projective_records(leaves, projective),
         "nets": _nets(leaves, affine, components).astype(np.float32),
         "far_nets": _nets(leaves, projective),
-        "groups": _groups(leaves, exact, group_first, group_size),
-        "members": _members(leaves, exact, len(graph)),
-        "rows": _rows(leaves, exact),
-        "planes": _planes(leaves, exact) if sections else np.zeros((0, 8), dtype=np.float32),
+        "groups": group_records(leaves, exact, group_first, group_size),
+        "members": member_records(leaves, exact, len(graph)),
+        "rows": inverse_records(leaves, exact),
+        "planes": section_records(leaves, exact),
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
     only = None
@@ -208,7 +196,7 @@ def build_structure(
         graph_count=len(graph),
         group_count=len(group_first),
         has_sections=sections,
-        has_cones=bool(_is_cone(leaves, exact).any()),
+        has_cones=bool(is_cone(leaves, exact).any()),
         has_disks=bool((leaves.form[exact, SECTION] < -3).any()),
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values())
@@ -220,14 +208,6 @@ def build_structure(
 
 def _at_least_one(a: np.ndarray) -> np.ndarray:
     return a if len(a) else np.zeros((1, *a.shape[1:]), a.dtype)
-
-
-def _ranges(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return first index and length of the runs of equal labels."""
-    if not len(labels):
-        return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
-    first = np.flatnonzero(np.diff(labels, prepend=labels[0] - 1))
-    return first, np.diff(first, append=len(labels))
 
 
 def _affine_records(leaves: Leaves, which: np.ndarray) -> np.ndarray:
@@ -274,114 +254,6 @@ def _nets(leaves: Leaves, which: np.ndarray, components: int = 4) -> np.ndarray:
     out[:, 2:8] = leaves.form[which, 7:13]
     out[:, HEAD:width] = leaves.net[which, :, :components].reshape(len(which), width - HEAD)
     return out
-
-
-def _groups(leaves: Leaves, exact: np.ndarray, first: np.ndarray, size: np.ndarray) -> np.ndarray:
-    out = np.zeros((len(first), GROUP))
-    head = exact[first] if len(first) else exact
-    out[:, :10] = leaves.form[head, :10]
-    out[:, 10:13] = leaves.shift[head]
-    out[:, 13], out[:, 14] = first, size
-    if len(first):
-        out[:, 15] = np.maximum.reduceat(leaves.form[exact, DEVIATION], first)
-    return out
-
-
-def _rows(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
-    rows = leaves.frame[exact].reshape(-1, MEMBER)
-    disk = leaves.form[exact, SECTION] < -3
-    d = leaves.form[exact][disk, DISK]
-    rows[disk, 12:15], rows[disk, 15] = d, d.sum(axis=1)
-    return rows
-
-
-def _is_cone(leaves: Leaves, which: np.ndarray) -> np.ndarray:
-    mark = leaves.form[which, SECTION]
-    return (mark < 0) & (mark >= -3)
-
-
-def _members(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
-    out = np.zeros((len(exact), MEMBER), dtype=np.float32)
-    rows = leaves.frame[exact, :3]
-    sections = np.flatnonzero(leaves.form[exact, SECTION] > 0)
-    if len(sections):
-        rows = rows.copy()
-        rows[sections] = edge_planes(leaves.select(exact[sections]))
-    cones = np.flatnonzero(_is_cone(leaves, exact))
-    if len(cones):
-        rows = rows.copy()
-        rows[cones] = cone_planes(leaves.select(exact[cones]))
-    # scaled to what the rows give at the patch, so that an error of float32 has one size
-    reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
-    scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
-    scale = scale + np.linalg.norm(rows[..., 3], axis=1)
-    out[:, :12] = (rows / scale[:, None, None]).reshape(-1, 12)
-    out[:, 13] = leaves.form[exact, LEAST] / scale
-    out[:, 14] = leaves.form[exact, SECTION]
-    out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
-    return _with_tables(leaves, exact, out)
-
-
-def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.ndarray:
-    """Put a table before the members of each group; see `TABLE`."""
-    first, size = _ranges(leaves.group[exact])
-    if size.max(initial=0) < FEW:
-        return members
-    out = np.zeros((len(members) + TABLE * len(first), MEMBER), dtype=np.float32)
-    cells = (np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1) - 3.5) / 4
-    cells = cells.transpose(2, 1, 0, 3).reshape(-1, 3)  # x runs fastest
-    for number, (start, count) in enumerate(zip(first, size)):
-        mine = members[start : start + count]
-        if count >= FEW:
-            corners = leaves.box[exact[start : start + count]] - leaves.shift[exact[start]]
-            corners = np.where(np.isfinite(corners), np.abs(corners), 0.0)
-            half = np.maximum(corners.max(axis=(0, 1)), 1e-6 * corners.max() + 1e-30)
-            # three floats of ten bits: exponent and two of the mantissa, rounded down
-            bits = (4 / half).astype(np.float32).view(np.uint32) >> np.uint32(21)
-            half = 4 / (bits << np.uint32(21)).view(np.float32)
-            bits = bits << np.arange(0, 30, 10, dtype=np.uint32)
-            mine[0, MEMBER - 1] = bits.sum(dtype=np.uint32).view(np.float32)
-            rows = mine[:, :12].reshape(-1, 4)
-            points = _onto_quadric(leaves.form[exact[start]], cells * half)
-            value = rows[:, :3] @ points.T + rows[:, 3:]
-            value = value.reshape(count, 3, -1)
-            total = value.sum(axis=1)
-            # planes have sides, barycentrics have not
-            sign = np.where(mine[:, 14:15] != 0, 1.0, np.sign(total))
-            lowest = (value * sign[:, None]).min(axis=1) / np.maximum(np.abs(total), 1e-30)
-            likely = lowest.argmax(axis=0).astype(np.uint32).reshape(-1, 8)
-            words = (likely << np.arange(0, 32, 4, dtype=np.uint32)).sum(axis=1, dtype=np.uint32)
-            out[start + TABLE * number :][:TABLE] = words.view(np.float32).reshape(TABLE, MEMBER)
-        out[start + TABLE * (number + 1) :][:count] = mine
-    return out
-
-
-def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return where the lines to `points` from the origin meet the quadric, near them."""
-    matrix = np.empty((4, 4))
-    for k, (i, j) in enumerate(FORM_ENTRIES):
-        matrix[i, j] = matrix[j, i] = form[k]
-    q = np.einsum("si,ij,sj->s", points, matrix[:3, :3], points)
-    b, c = points @ matrix[:3, 3], matrix[3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        root = np.sqrt(b * b - q * c)
-        scale = np.stack([(-b - root) / q, (-b + root) / q])
-    scale = np.where(np.isfinite(scale), scale, 1.0)
-    near = np.abs(scale - 1.0).argmin(axis=0)
-    return points * np.clip(np.take_along_axis(scale, near[None], axis=0), 0.5, 2.0).T
-
-
-def _planes(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
-    nets = leaves.net[exact]
-    powers = bernstein.multi_indices(bernstein.degree_of(nets.shape[1]))[:, :2]
-    degree = int(powers[nets.any(axis=(0, 2))].sum(axis=1).max())
-    kept = nets[:, powers.sum(axis=1) <= degree].reshape(len(exact), -1)
-    return np.pad(kept, ((0, 0), (0, -kept.shape[1] % 8))).astype(np.float32)
-
-
-def _half_size(box: np.ndarray) -> np.ndarray:
-    half = (box[:, 1] - box[:, 0]) / 2
-    return np.where(np.isfinite(half), half, 0.0)
 
 
 def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.ndarray:

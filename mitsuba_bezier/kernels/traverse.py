@@ -62,8 +62,30 @@ def intersect(
     active = ty.Bool(active) & is_ray(o, d, t_max)
     slabs = prepare(ty, o, d)
     walk = begin(ty, s.nodes, slabs, t_max)
-    t, leaf, u, v = search(s, ty, o, d, slabs, t_max, ty.UInt(0), walk, active, any_hit)
+    if s.only_group is not None and not s.graph_count:
+        t, leaf, u, v = _meet_group(s, ty, o, d, t_max, active & (walk.leaves != 0))
+    else:
+        t, leaf, u, v = search(s, ty, o, d, slabs, t_max, ty.UInt(0), walk, active, any_hit)
     return finish(s, ty, t, leaf, u, v, active, any_hit)
+
+
+def _meet_group(
+    s: Structure, ty: Types, o: list[Any], d: list[Any], t_max: Any, active: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Do what `search` does where all there is are the patches of one quadric: no tree to walk."""
+
+    def meet_it(active):
+        hit, t, u, v, leaf = group_hit(s, ty, ty.UInt(0), o, d, t_max, active)
+        return t, dr.select(hit, leaf, NO_LEAF), u, v
+
+    zero = dr.zeros(ty.Float)
+    return dr.if_stmt(
+        args=(active,),
+        cond=active,
+        true_fn=meet_it,
+        false_fn=lambda _active: (t_max, ty.UInt(NO_LEAF), zero, zero),
+        label="bezier one group",
+    )
 
 
 def is_ray(o: list[Any], d: list[Any], t_max: Any) -> Any:
