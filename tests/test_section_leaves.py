@@ -12,7 +12,7 @@ from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import SECTION, Leaves
 from mitsuba_bezier.geometry.section_leaves import edge_planes
-from mitsuba_bezier.kernels import quadric, structure
+from mitsuba_bezier.kernels import quadric, quadric_records, structure
 from mitsuba_bezier.kernels.traverse import intersect
 
 
@@ -113,7 +113,7 @@ def test_tables_change_the_order_only(cover, part, monkeypatch):
     patches = mb.BezierTriangles(np.concatenate(nets))
     o, d = rays(50_000, 5)
     found = hits(build_leaves(patches), o, d)
-    for module in (structure, quadric):
+    for module in (quadric_records, quadric):
         monkeypatch.setattr(module, "FEW", 13)
     plain = hits(build_leaves(patches), o, d)
     assert found[0].sum() > 1000 and (found[0] == plain[0]).all()
