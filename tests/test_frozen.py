@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import drjit as dr
@@ -12,6 +13,7 @@ from mitsuba_cases import bezier, ray_of
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.errors import BezierError
+from mitsuba_bezier.kernels import quadric
 from mitsuba_bezier.kernels.arrays import upload
 from mitsuba_bezier.plugins.frozen import contents
 
@@ -19,6 +21,12 @@ from mitsuba_bezier.plugins.frozen import contents
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
     mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.fixture(autouse=True)
+def no_garbage() -> None:
+    """Free the scenes of other tests now: Mitsuba cannot while a function is recorded."""
+    gc.collect()
 
 
 def scene_of(shapes: dict[str, Any], integrator: str = "bezierpath", **more: Any) -> Any:
@@ -125,6 +133,19 @@ def test_changes_that_need_other_kernels():
         assert_replayed(frozen, scene, range(3))
         seen.append(np.array(picture(scene, 0)))
     assert not np.array_equal(seen[0], seen[1]) and not np.array_equal(seen[0], seen[3])
+
+
+def test_no_garbage_is_collected_meanwhile(monkeypatch):
+    scene = scene_of({"a": bezier()})
+    picture(scene, 0)
+    enabled = []
+    values = quadric._values
+    monkeypatch.setattr(quadric, "_values", lambda *x: enabled.append(gc.isenabled()) or values(*x))
+    frozen = dr.freeze(picture)
+    frozen(scene, mi.UInt32(0))
+    assert enabled and not any(enabled) and gc.isenabled()
+    picture(scene, 0)
+    assert enabled[-1]
 
 
 def test_what_is_told_of_structures():

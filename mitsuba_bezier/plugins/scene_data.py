@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -264,12 +265,20 @@ def _recorded() -> Iterator[None]:
     """Let kernels have no derivatives, and record their loops whatever the flags say.
 
     Evaluated loops, for finding mistakes in one's own, would launch a kernel for each of ours'
-    steps.
+    steps. While a function is frozen no garbage is collected: a scene of Mitsuba's that is freed
+    then ends the process ("enqueue_host_func(): this function cannot be recorded").
     """
     recorded = (dr.JitFlag.SymbolicLoops, dr.JitFlag.SymbolicConditionals)
     loops, conditionals = (dr.scoped_set_flag(flag, True) for flag in recorded)
-    with dr.suspend_grad(), loops, conditionals:
-        yield
+    paused = dr.flag(dr.JitFlag.FreezingScope) and gc.isenabled()
+    if paused:
+        gc.disable()
+    try:
+        with dr.suspend_grad(), loops, conditionals:
+            yield
+    finally:
+        if paused:
+            gc.enable()
 
 
 def _leaves_of(shape: Any, remember: bool) -> Leaves:
