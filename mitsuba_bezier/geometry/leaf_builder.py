@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -44,22 +45,35 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     numbers = np.arange(len(patches))
     parts: list[Leaves] = []
     if settings.closed_form:
-        quadratic = (exact_leaves, sector_leaves) if settings.sections else (exact_leaves,)
-        for find in (*quadratic, _elevated_leaves, section_leaves):
-            if not len(numbers) or (find is section_leaves and not settings.sections):
-                break
-            if find is _elevated_leaves:
-                found, exact = _elevated_leaves(patches[numbers], quadratic)
-            else:
-                found, exact = find(patches[numbers])
-            if len(exact):
-                exact.patch = numbers[exact.patch]
-                parts.append(exact)
-            numbers, nets = numbers[~found], nets[~found]
+        quadratic: list[Finder] = [exact_leaves]
+        if settings.sections:
+            quadratic.append(sector_leaves)
+        finders: list[Finder] = [*quadratic, partial(_elevated_leaves, finders=quadratic)]
+        if settings.sections:
+            finders.append(section_leaves)
+        parts, numbers = _closed_forms(patches, finders)
+        nets = nets[numbers]
     for first in range(0, len(numbers), _CHUNK):
         chunk = slice(first, first + _CHUNK)
         parts.extend(subdivide(nets[chunk], numbers[chunk], settings))
     return Leaves.join(parts)
+
+
+def _closed_forms(
+    patches: BezierTriangles, finders: Sequence[Finder]
+) -> tuple[list[Leaves], np.ndarray]:
+    """Let each of `finders` look at what those before it left; return leaves and what is left."""
+    parts = []
+    numbers = np.arange(len(patches))
+    for find in finders:
+        if not len(numbers):
+            break
+        found, leaves = find(patches[numbers])
+        if len(leaves):
+            leaves.patch = numbers[leaves.patch]
+            parts.append(leaves)
+        numbers = numbers[~found]
+    return parts, numbers
 
 
 def _elevated_leaves(
@@ -69,17 +83,16 @@ def _elevated_leaves(
     found = np.zeros(len(patches), dtype=bool)
     parts = [Leaves.empty(patches.control_points.shape[1])]
     for degree in range(1, min(patches.degree, 3)):
-        for find in finders:
-            numbers = np.flatnonzero(~found)
-            if not len(numbers):
-                break
-            reducible, lower, residual = reduce_degree(patches[numbers], degree)
-            if lower is None:
-                break
-            exact, leaves = find(lower)
+        numbers = np.flatnonzero(~found)
+        if not len(numbers):
+            break
+        reducible, lower, residual = reduce_degree(patches[numbers], degree)
+        if lower is None:
+            continue
+        for leaves in _closed_forms(lower, finders)[0]:
             leaves.form[:, DEVIATION] += residual[leaves.patch]
             leaves.patch = numbers[reducible][leaves.patch]
-            found[numbers[reducible][exact]] = True
+            found[leaves.patch] = True
             parts.append(leaves)
     return found, Leaves.join(parts)
 

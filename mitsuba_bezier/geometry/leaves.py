@@ -195,6 +195,21 @@ class Leaves:
     def __len__(self) -> int:
         return len(self.patch)
 
+    @property
+    def are_sections(self) -> np.ndarray:
+        """Which exact leaves take Newton's method for their parameters; see `SECTION`."""
+        return self.exact & (self.form[:, SECTION] > 0)
+
+    @property
+    def are_cones(self) -> np.ndarray:
+        """Which exact leaves are sectors of cones."""
+        return self.exact & (self.form[:, SECTION] < 0) & (self.form[:, SECTION] >= -3)
+
+    @property
+    def are_disks(self) -> np.ndarray:
+        """Which exact leaves are sectors of disks."""
+        return self.exact & (self.form[:, SECTION] < -3)
+
     @staticmethod
     def join(parts: list[Leaves]) -> Leaves:
         """Concatenate; nets are padded to the highest degree with zero monomials."""

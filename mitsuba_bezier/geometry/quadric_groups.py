@@ -187,7 +187,7 @@ def _share(
     if form is None:
         form = flat[part].mean(axis=0).reshape(4, 4)
     form = move.T @ form @ move
-    cones = part[(leaves.form[part, SECTION] < 0) & (leaves.form[part, SECTION] >= -3)]
+    cones = part[leaves.are_cones[part]]
     if len(cones):
         corner = (-1 - leaves.form[cones, SECTION]).astype(int)
         rows = np.array(bernstein.corner_rows(patches.degree))[corner]

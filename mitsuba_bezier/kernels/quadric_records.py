@@ -16,7 +16,6 @@ __all__ = [
     "TABLE",
     "group_records",
     "inverse_records",
-    "is_cone",
     "member_records",
     "ranges",
     "section_records",
@@ -59,30 +58,20 @@ def group_records(
 def inverse_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     """Return the rows of exact leaves, unscaled; the fourth of a disk is its `DISK` and the sum."""
     rows = leaves.frame[exact].reshape(-1, MEMBER)
-    disk = leaves.form[exact, SECTION] < -3
+    disk = leaves.are_disks[exact]
     d = leaves.form[exact][disk, DISK]
     rows[disk, 12:15], rows[disk, 15] = d, d.sum(axis=1)
     return rows
-
-
-def is_cone(leaves: Leaves, which: np.ndarray) -> np.ndarray:
-    """Tell which exact leaves are sectors of cones."""
-    mark = leaves.form[which, SECTION]
-    return (mark < 0) & (mark >= -3)
 
 
 def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     """Return the records of members, with tables, for `exact` leaves numbered from `first_leaf`."""
     out = np.zeros((len(exact), MEMBER), dtype=np.float32)
     rows = leaves.frame[exact, :3]
-    sections = np.flatnonzero(leaves.form[exact, SECTION] > 0)
-    if len(sections):
-        rows = rows.copy()
-        rows[sections] = edge_planes(leaves.select(exact[sections]))
-    cones = np.flatnonzero(is_cone(leaves, exact))
-    if len(cones):
-        rows = rows.copy()
-        rows[cones] = cone_planes(leaves.select(exact[cones]))
+    for which, planes in ((leaves.are_sections, edge_planes), (leaves.are_cones, cone_planes)):
+        bounded = np.flatnonzero(which[exact])
+        if len(bounded):
+            rows[bounded] = planes(leaves.select(exact[bounded]))
     # scaled to what the rows give at the patch, so that an error of float32 has one size
     reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
     scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
@@ -145,7 +134,7 @@ def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def section_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     """Return the polynomials of exact leaves; nothing if none has any."""
-    if not (leaves.form[exact, SECTION] > 0).any():
+    if not leaves.are_sections[exact].any():
         return np.zeros((0, 8), dtype=np.float32)
     nets = leaves.net[exact]
     powers = bernstein.multi_indices(bernstein.degree_of(nets.shape[1]))[:, :2]

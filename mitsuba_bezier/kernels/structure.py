@@ -16,7 +16,6 @@ from .quadric_records import (
     MEMBER,
     group_records,
     inverse_records,
-    is_cone,
     member_records,
     ranges,
     section_records,
@@ -163,7 +162,6 @@ def build_structure(
     if objects is not None:
         owner = np.concatenate([objects[graph], objects[exact[group_first]]])
     nodes = build_nodes(boxes, ty, owner)
-    sections = bool((leaves.form[exact, SECTION] > 0).any())
     # polynomial patches have weight one on all leaves, up to rounding of float64
     rational = bool((np.abs(leaves.net[affine, :, 3]) > 1e-12).any())
     components = 4 if rational else 3
@@ -195,9 +193,9 @@ def build_structure(
         affine_count=len(affine),
         graph_count=len(graph),
         group_count=len(group_first),
-        has_sections=sections,
-        has_cones=bool(is_cone(leaves, exact).any()),
-        has_disks=bool((leaves.form[exact, SECTION] < -3).any()),
+        has_sections=bool(leaves.are_sections.any()),
+        has_cones=bool(leaves.are_cones.any()),
+        has_disks=bool(leaves.are_disks.any()),
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values())
         + nodes.bytes
