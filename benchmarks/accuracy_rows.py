@@ -23,7 +23,7 @@ from mitsuba_bezier.geometry import analytic, bernstein, shapes
 from mitsuba_bezier.geometry.covers import quadric_cover, ruled_cover
 from mitsuba_bezier.geometry.plane_shapes import quarter_plane
 from mitsuba_bezier.geometry.quadrics import quadric_patch
-from mitsuba_bezier.geometry.tensor import tensor_to_triangles
+from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.geometry.triangulations import triangulated
 
@@ -83,6 +83,20 @@ def _in_cylinder(rng: Rng, count: int) -> np.ndarray:
     return np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)
 
 
+#: Profiles of a sphere, a capped cylinder and a capped cone, oriented outwards.
+H = np.sqrt(0.5)
+_PROFILES = {
+    "sphere": [[(0, -1, 1), (H, -H, H), (1, 0, 1)], [(1, 0, 1), (H, H, H), (0, 1, 1)]],
+    "cylinder": [[(0, 0, 1), (1, 0, 1)], [(1, 0, 1), (1, 1, 1)], [(1, 1, 1), (0, 1, 1)]],
+    "cone": [[(0, 0, 1), (1, 0, 1)], [(1, 0, 1), (0, 1, 1)]],
+}
+
+
+def of_revolution(name: str) -> BezierTriangles:
+    """Return a closed surface as CAD systems write it, cut along diagonals; edges collapse."""
+    return BezierTriangles.join([tensor_to_triangles(revolved(p)) for p in _PROFILES[name]])
+
+
 def _covers():
     return (
         ("tetrahedral", mb.sphere(cover="tetrahedral"), None, _in_ball),
@@ -96,6 +110,9 @@ def _covers():
         ("capped cone, general", shapes.cone(capped=True), GENERAL, _in_cone),
         ("capped cylinder", shapes.cylinder(capped=True), None, _in_cylinder),
         ("capped cylinder, general", shapes.cylinder(capped=True), GENERAL, _in_cylinder),
+        ("sphere of revolution", of_revolution("sphere"), None, _in_ball),
+        ("cylinder of revolution", of_revolution("cylinder"), None, _in_cylinder),
+        ("cone of revolution", of_revolution("cone"), None, _in_cone),
     )
 
 

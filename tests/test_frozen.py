@@ -13,7 +13,7 @@ from mitsuba_cases import bezier, ray_of
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.errors import BezierError
-from mitsuba_bezier.kernels import quadric
+from mitsuba_bezier.kernels import members
 from mitsuba_bezier.kernels.arrays import upload
 from mitsuba_bezier.plugins.frozen import contents
 
@@ -139,8 +139,8 @@ def test_no_garbage_is_collected_meanwhile(monkeypatch):
     scene = scene_of({"a": bezier()})
     picture(scene, 0)
     enabled = []
-    values = quadric._values
-    monkeypatch.setattr(quadric, "_values", lambda *x: enabled.append(gc.isenabled()) or values(*x))
+    values = members._values
+    monkeypatch.setattr(members, "_values", lambda *x: enabled.append(gc.isenabled()) or values(*x))
     frozen = dr.freeze(picture)
     frozen(scene, mi.UInt32(0))
     assert enabled and not any(enabled) and gc.isenabled()

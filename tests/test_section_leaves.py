@@ -12,7 +12,7 @@ from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import SECTION, Leaves
 from mitsuba_bezier.geometry.section_leaves import edge_planes
-from mitsuba_bezier.kernels import quadric, quadric_records, structure
+from mitsuba_bezier.kernels import members, quadric_records, structure
 from mitsuba_bezier.kernels.traverse import intersect
 
 
@@ -113,7 +113,7 @@ def test_tables_change_the_order_only(cover, part, monkeypatch):
     patches = mb.BezierTriangles(np.concatenate(nets))
     o, d = rays(50_000, 5)
     found = hits(build_leaves(patches), o, d)
-    for module in (quadric_records, quadric):
+    for module in (quadric_records, members):
         monkeypatch.setattr(module, "FEW", 13)
     plain = hits(build_leaves(patches), o, d)
     assert found[0].sum() > 1000 and (found[0] == plain[0]).all()
@@ -129,14 +129,14 @@ def test_tables_tell_most_members(cover, monkeypatch):
     built = structure.build_structure(leaves, llvm.Float)
     reads = dr.zeros(llvm.UInt32, 1)
     dr.eval(reads)
-    plain = quadric.gather_packets
+    plain = members.gather_packets
 
     def counted(buffer, index, count, active=True):
         if buffer.index == built.members.index:
             dr.scatter_add(reads, llvm.UInt32(1), llvm.UInt32(0), active)
         return plain(buffer, index, count, active)
 
-    monkeypatch.setattr(quadric, "gather_packets", counted)
+    monkeypatch.setattr(members, "gather_packets", counted)
     o, d = rays(50_000, 6)
     columns = [[llvm.Float(np.ascontiguousarray(x[:, k])) for k in range(3)] for x in (o, d)]
     hit = intersect(built, *columns, llvm.Float(dr.inf))

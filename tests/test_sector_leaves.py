@@ -4,38 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import permutations
-from typing import Any
 
 import numpy as np
 import pytest
 from drjit.llvm import Float
+from leaf_cases import (
+    IMAGE,
+    TURN,
+    assert_hits_are_those_of_the_reference,
+    columns,
+    moved,
+    rays,
+    single,
+    traced,
+    turned,
+)
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import bernstein, shapes
+from mitsuba_bezier.geometry import shapes
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import SECTION, LeafSettings, Leaves
 from mitsuba_bezier.geometry.reference import first_hit
 from mitsuba_bezier.kernels.structure import build_structure
-from mitsuba_bezier.kernels.traverse import Hit, intersect
-
-RNG = np.random.default_rng(21)
-TURN = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
-#: Takes the plane z = -3 to infinity, and circles to other conics.
-IMAGE = np.array([[1.0, 0.2, 0, 0.1], [0, 1.3, 0.3, 0], [0.1, 0, 0.8, 0.2], [0, 0.1, 0.3, 0.9]])
-
-
-def turned(patches: mb.BezierTriangles, order: tuple[int, ...]) -> mb.BezierTriangles:
-    """Return patches with their corners in another order."""
-    ijk = bernstein.multi_indices(patches.degree)[:, list(order)]
-    rows = [bernstein.row(patches.degree, i, j) for i, j, _k in ijk.tolist()]
-    return mb.BezierTriangles(patches.control_points[:, rows])
-
-
-def moved(patches: mb.BezierTriangles) -> mb.BezierTriangles:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = TURN * [1, 2, 0.7], [0.3, -0.5, 0.8]
-    return patches.transform(matrix)
-
+from mitsuba_bezier.kernels.traverse import intersect
 
 SURFACES = {
     "cone": shapes.cone(),
@@ -45,61 +36,20 @@ SURFACES = {
     "moved": moved(shapes.cone(capped=True)),
     "image": shapes.cone(capped=True).transform(IMAGE),
     "negative weights": mb.BezierTriangles(-shapes.cone(capped=True).control_points),
-    "as tensors are": mb.BezierTriangles(
-        moved(shapes.cone(capped=True)).control_points.astype(np.float32)
-    ),
+    "as tensors are": single(shapes.cone(capped=True)),
     **{f"corners {o}": turned(shapes.cone(capped=True), o) for o in permutations(range(3))},
 }
-
-
-def columns(*arrays: np.ndarray) -> list[Any]:
-    return [[Float(np.ascontiguousarray(a[:, k])) for k in range(3)] for a in arrays]
-
-
-def rays(patches: mb.BezierTriangles, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return rays at points of patches, near their edges too, and at some beside them."""
-    rng = np.random.default_rng(1)
-    box = patches.bounds()
-    middle, size = box.mean(axis=(0, 1)), np.ptp(box, axis=(0, 1)).max()
-    uv = rng.dirichlet([0.5, 0.5, 0.5], count)[:, :2]
-    target = patches.points(rng.integers(0, len(patches), count), uv)
-    target[::4] += rng.normal(scale=0.2 * size, size=target[::4].shape)
-    o = middle + 2 * size * rng.normal(size=(count, 3))
-    return o.astype(np.float32), (target - o).astype(np.float32)
-
-
-def traced(leaves: Leaves, o: np.ndarray, d: np.ndarray, **options: Any) -> Hit:
-    return intersect(build_structure(leaves, Float), *columns(o, d), Float(np.inf), **options)
 
 
 @pytest.mark.parametrize("patches", SURFACES.values(), ids=SURFACES.keys())
 def test_hits(patches):
     leaves = build_leaves(patches)
     assert leaves.exact.all() and len(leaves) == len(patches)
-    o, d = rays(patches, 1000)
-    expected = first_hit(patches, o, d)
-    # ten roundings of float32; an edge's tolerance is of that size, too
-    judged = expected.margin.decidable(6e-7) & ~(expected.margin.cosine < 0.01)
-    assert judged.mean() > 0.6
-    hit = traced(leaves, o, d)
-    t, valid = np.array(hit.t, dtype=float), np.array(hit.valid)
-    assert (valid == np.isfinite(expected.t))[judged].all()
-    both = valid & judged
-    assert 0.3 < both.mean() < judged.mean()
-    assert np.array_equal(np.array(hit.patch)[both], expected.patch[both])
-    # t is rounded to float32, and the quadric of float32 nets is off by as much
-    off = np.abs(t[both] / expected.t[both] - 1) * expected.margin.cosine[both]
-    assert off.max() < 3e-7
-    uv = np.stack([np.array(hit.u), np.array(hit.v)], axis=1).astype(float)
-    p = patches.points(np.array(hit.patch)[both], uv[both])
-    off = np.linalg.norm(p - (o + t[:, None] * d)[both], axis=1)
-    assert off.max() < 1e-6 * np.linalg.norm(o, axis=1).max()
-    found = traced(leaves, o, d, any_hit=True)
-    assert (np.array(found.valid) == valid).all()
+    assert_hits_are_those_of_the_reference(patches, leaves)
 
 
-@pytest.mark.parametrize("single", [False, True], ids=["float64", "float32"])
-def test_next_to_the_apex(single):
+@pytest.mark.parametrize("rounded", [False, True], ids=["float64", "float32"])
+def test_next_to_the_apex(rounded):
     # also at the other nappe, which is not on the patch
     rng = np.random.default_rng(2)
     depth, turn = 10 ** rng.uniform(-6, 0, 1500), rng.random(1500) * 2 * np.pi
@@ -107,7 +57,7 @@ def test_next_to_the_apex(single):
     target[::2, 2] = 2 - target[::2, 2]
     o = target + rng.normal(size=target.shape)
     cone = shapes.cone()
-    if single:
+    if rounded:
         o, target = (x @ TURN.T + [0.1, 0.2, 0.3] for x in (o, target))
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = TURN, [0.1, 0.2, 0.3]
@@ -129,6 +79,18 @@ def test_next_to_the_apex(single):
     # float32 nets are off the one cone by 6e-8, here over a cosine
     off = np.abs(t[both] - expected.t[both]) * np.minimum(1, expected.margin.cosine[both])
     assert off.max() < 5e-7 and both.sum() > 250
+
+
+def test_lines_beside_those_of_the_cone_meet_its_apex():
+    # 45 degrees: such a line through the apex is nearly one of the cone, and all coefficients of
+    # its quadratic are small
+    rng = np.random.default_rng(4)
+    depth, turn = rng.uniform(0.01, 0.3, 20_000), rng.random(20_000) * 2 * np.pi
+    slope = 1 + 0.03 * rng.random(20_000)
+    o = np.stack([depth * np.cos(turn), depth * np.sin(turn), 1 - slope * depth], axis=1)
+    o = o.astype(np.float32)
+    d = ([0, 0, 1] - o.astype(float)).astype(np.float32)
+    assert np.array(traced(build_leaves(shapes.cone()), o, d).valid).all()
 
 
 def test_nothing_leaks_through_edges():
@@ -180,13 +142,13 @@ def test_elevated_and_not_quite():
     for patches in (cone.elevate(), disk.elevate(2)):
         assert build_leaves(patches).exact.all()
     # trims ask for the parameters of every root
-    assert not build_leaves(cone, LeafSettings(sections=False)).exact.any()
+    assert build_leaves(cone, LeafSettings(sections=False)).are_inverted.all()
     for patches, rows in ((cone, (2, 4, 5)), (disk, (2, 4))):
         for row in rows:
             net = patches.control_points.copy()
             net[0, row, 0] += 1e-5
             mark = build_leaves(mb.BezierTriangles(net))
-            assert not mark.exact[mark.patch == 0].any()
+            assert not (mark.are_cones | mark.are_disks)[mark.patch == 0].any()
     # a point of the arc may be anywhere
     net = cone.control_points.copy()
     net[0, 1] += [0.1, 0.2, 0.1, 0.3]

@@ -11,6 +11,7 @@ import numpy as np
 from .degree_reduction import reduce_degree
 from .exact_leaves import exact_leaves
 from .graph_leaves import subdivide
+from .inverted_leaves import inverted_leaves
 from .leaves import DEVIATION, LeafSettings, Leaves
 from .section_leaves import section_leaves
 from .sector_leaves import sector_leaves
@@ -51,6 +52,7 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
         finders: list[Finder] = [*quadratic, partial(_elevated_leaves, finders=quadratic)]
         if settings.sections:
             finders.append(section_leaves)
+        finders.append(inverted_leaves)
         parts, numbers = _closed_forms(patches, finders)
         nets = nets[numbers]
     for first in range(0, len(numbers), _CHUNK):

@@ -49,9 +49,11 @@ __all__ = [
     "DISK",
     "FORM",
     "FORM_ENTRIES",
+    "INVERTED",
     "INWARD",
     "LEAST",
     "LEAST_REACH",
+    "MARGINS",
     "OUTWARD",
     "SECTION",
     "SIZES",
@@ -76,9 +78,11 @@ DEVIATION = 11
 
 #: Place of the mark of an exact leaf whose frame does not give barycentrics: 1 if it gives
 #: stereographic coordinates, and barycentrics need a few steps of Newton's method, on the net
-#: (`section_leaves`); -1, -2 or -3 for a sector of a cone with its apex in this corner, -4, -5 or
+#: (`section_leaves`); `INVERTED` if such parameters tell whether a point is on the patch at all
+#: (`inverted_leaves`); -1, -2 or -3 for a sector of a cone with its apex in this corner, -4, -5 or
 #: -6 for one of a disk with its middle there (`sector_leaves`).
 SECTION = 12
+INVERTED = 2.0
 
 #: Places in the form of a graph leaf of its `outward` and `inward`.
 OUTWARD = slice(13, 16)
@@ -86,6 +90,9 @@ INWARD = slice(16, 19)
 
 #: Places in the form of a sector of a disk of the coordinates of its ``D`` (`sector_leaves`).
 DISK = slice(13, 16)
+
+#: ... and of an inverted leaf of how far its plane barycentrics go below zero (`inverted_leaves`).
+MARGINS = slice(13, 16)
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.
 FORM_ENTRIES = (
@@ -198,7 +205,12 @@ class Leaves:
     @property
     def are_sections(self) -> np.ndarray:
         """Which exact leaves take Newton's method for their parameters; see `SECTION`."""
-        return self.exact & (self.form[:, SECTION] > 0)
+        return self.exact & (self.form[:, SECTION] == 1)
+
+    @property
+    def are_inverted(self) -> np.ndarray:
+        """Which exact leaves take Newton's method to tell whether a point is on them."""
+        return self.exact & (self.form[:, SECTION] == INVERTED)
 
     @property
     def are_cones(self) -> np.ndarray:

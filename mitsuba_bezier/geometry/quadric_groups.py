@@ -8,7 +8,15 @@ from . import bernstein
 from .leaves import DEVIATION, FORM_ENTRIES, SECTION, Leaves
 from .triangles import BezierTriangles
 
-__all__ = ["centre_and_size", "fit_forms", "grouped", "local_nets", "quadric_leaves"]
+__all__ = [
+    "centre_and_size",
+    "fit_forms",
+    "grouped",
+    "local_nets",
+    "quadric_leaves",
+    "relative_distance",
+    "with_its_apex",
+]
 
 
 def quadric_leaves(
@@ -84,14 +92,23 @@ def local_nets(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray, np.nda
     return local, shift, size
 
 
-#: Most patches in a group: its members are tried one after the other.
-_GROUP = 12
+#: Inverted patches whose quadrics are alike up to the first, as those of parts of a quadric in
+#: float32 are, share one if all are within the second of it, in their sizes.
+_ALIKE, _SAME = 1e-3, 5e-7
+
+#: A fitted quadric is a cone if its least eigenvalue is below this share of the largest; its apex
+#: is a corner of a patch if so close, in the patches' size.
+_SINGULAR, _AT_APEX = 1e-5, 1e-4
+
+#: Most patches in a group: its members are tried one after the other. More if all are inverted, for
+#: which there is a table of those that may have a point.
+_GROUP, _LARGEST_GROUP = 12, 16
 
 
 def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
     """Number the leaves by quadric, and give each group one quadric and one origin.
 
-    A ray then meets the quadric of a whole group once. Groups of more than `_GROUP` patches
+    A ray then meets the quadric of a whole group once. Groups of more patches than `_GROUP` says
     are cut in space.
     """
     centre, size = centre_and_size(patches)
@@ -106,10 +123,12 @@ def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
     common = np.einsum("lai,lab,lbj->lij", move, forms, move)
     flat = common.reshape(-1, 16)
     flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
-    leading = np.take_along_axis(flat, np.abs(flat).argmax(axis=1)[:, None], axis=1)
+    # the first of the largest entries is positive: for spheres there are several
+    size = np.abs(flat)
+    first = (size > 0.999 * size.max(axis=1, keepdims=True)).argmax(axis=1)
+    leading = np.take_along_axis(flat, first[:, None], axis=1)
     flat = flat * np.sign(leading)
-    _values, label = np.unique(np.round(flat * 1e5), axis=0, return_inverse=True)
-    label = label.reshape(-1)
+    label = _labels(flat, 1e-5)
     count = label.max() + 1
     mean = np.zeros((count, 16))
     np.add.at(mean, label, flat)
@@ -117,10 +136,19 @@ def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
     # a member that differs by more than float32 sees stays alone
     alone = np.abs(flat - mean[label]).max(axis=1) > 3e-7
     label = np.where(alone, count + np.arange(len(label)), label)
+    inverted = np.flatnonzero(leaves.are_inverted)
+    alike = [_by_label(_labels(flat[inverted] + k * _ALIKE / 2, _ALIKE)) for k in range(2)]
+    for part in alike[0] + alike[1] if len(inverted) else []:
+        members = inverted[part]
+        if len(np.unique(label[members])) > 1:
+            form = _fit_together(patches, members, middle, scale)
+            if form is not None and _distances(patches[members], form, middle, scale) < _SAME:
+                label[members] = label[members[0]]
     group = np.full(len(label), -1)
     used = 0
     for members in _by_label(label):
-        for part in _spatial_parts(members, centre):
+        most = _LARGEST_GROUP if leaves.are_inverted[members].all() else _GROUP
+        for part in _spatial_parts(members, centre, most):
             group[part] = used
             used += 1
             if len(part) > 1:
@@ -136,20 +164,50 @@ def _deviation(leaves: Leaves, patches: BezierTriangles) -> np.ndarray:
     In sizes of the patch, to first order: ``|f| / |grad f|``. It is rounding: that of float64,
     or of float32 where the net came through it.
     """
+    distance = relative_distance(patches, _matrices(leaves.form), leaves.shift)
+    # 2: between the samples, and what the neighbour's quadric is off
+    return np.minimum(2 * distance + 1e-12, 1e-6)
+
+
+def relative_distance(patches: BezierTriangles, forms: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Return the largest distance of points of each patch from its form on ``p - shift``."""
     lattice = bernstein.multi_indices(4)[:, :2] / 4.0
     points = bernstein.basis(patches.degree, lattice) @ patches.control_points
-    points[..., :3] -= points[..., 3:] * leaves.shift[:, None]
-    forms = _matrices(leaves.form)
+    points[..., :3] -= points[..., 3:] * shift[:, None]
     gradient = np.einsum("lab,lsb->lsa", forms, points)
     value = np.abs(np.einsum("lsa,lsa->ls", points, gradient))
     slope = 2 * np.linalg.norm(gradient[..., :3], axis=-1)
     _centre, size = centre_and_size(patches)
+    weight = np.abs(points[..., 3])
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = value / (slope * np.abs(points[..., 3]) * size[:, None])
-    # no number where a point is at infinity or the gradient vanishes, as at the tip of a cone
+        distance = value / slope
+        # next to the tip of a cone, where the gradient vanishes
+        bent = np.linalg.norm(forms[:, :3, :3], axis=(1, 2))[:, None]
+        distance = np.fmin(distance, np.sqrt(value / bent))
+        distance /= weight * size[:, None]
+    # no number where a point is at infinity
     distance = np.where(np.isfinite(distance), distance, 0.0)
-    # 2: between the samples, and what the neighbour's quadric is off
-    return np.minimum(2 * distance.max(axis=1) + 1e-12, 1e-6)
+    return distance.max(axis=1)
+
+
+def _labels(flat: np.ndarray, unit: float) -> np.ndarray:
+    """Number rows of numbers: equal ones, up to a unit, are mostly alike."""
+    _values, label = np.unique(np.round(flat / unit), axis=0, return_inverse=True)
+    return label.reshape(-1)
+
+
+def _distances(
+    patches: BezierTriangles, form: np.ndarray, middle: np.ndarray, scale: float
+) -> float:
+    """Return the largest distance of patches from a quadric on ``(p - middle) / scale``, in sizes.
+
+    See `_deviation`.
+    """
+    move = np.eye(4)
+    move[:3, :3] /= scale
+    move[:3, 3] = -middle / scale
+    forms = np.broadcast_to(move.T @ form @ move, (len(patches), 4, 4))
+    return float(relative_distance(patches, forms, np.zeros((len(patches), 3))).max())
 
 
 def _by_label(label: np.ndarray) -> list[np.ndarray]:
@@ -157,14 +215,18 @@ def _by_label(label: np.ndarray) -> list[np.ndarray]:
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _spatial_parts(members: np.ndarray, centre: np.ndarray) -> list[np.ndarray]:
-    if len(members) <= _GROUP:
+def _spatial_parts(members: np.ndarray, centre: np.ndarray, most: int) -> list[np.ndarray]:
+    if len(members) <= most:
         return [members]
     points = centre[members]
     axis = int(np.ptp(points, axis=0).argmax())
     members = members[np.argsort(points[:, axis], kind="stable")]
     half = len(members) // 2
-    return _spatial_parts(members[:half], centre) + _spatial_parts(members[half:], centre)
+    return [
+        part
+        for side in (members[:half], members[half:])
+        for part in _spatial_parts(side, centre, most)
+    ]
 
 
 def _share(
@@ -193,12 +255,39 @@ def _share(
         rows = np.array(bernstein.corner_rows(patches.degree))[corner]
         apex = patches.control_points[cones, rows]
         form = _with_apex(form, (apex[:, :3] / apex[:, 3:]).mean(axis=0) - shift)
+    inverted = part[leaves.are_inverted[part]]
+    if len(inverted):
+        moved = patches.control_points[inverted].copy()
+        moved[..., :3] -= moved[..., 3:] * shift
+        form = with_its_apex(form, moved)
     form /= np.abs(form).max()
     leaves.form[part, :10] = [form[i, j] for i, j in FORM_ENTRIES]
     leaves.frame[part, :, 3] += np.einsum(
         "lrc,lc->lr", leaves.frame[part, :, :3], shift - leaves.shift[part]
     )
     leaves.shift[part] = shift
+
+
+def with_its_apex(form: np.ndarray, nets: np.ndarray) -> np.ndarray:
+    """Return a quadric, or if it is a cone with a corner of `nets` in its apex, that cone exactly.
+
+    Parameters
+    ----------
+    form : (4, 4) array
+        A fit, to points in float32 perhaps.
+    nets : (P, K, 4) array
+        Nets on it, with weights of one sign.
+    """
+    values, vectors = np.linalg.eigh(form)
+    least = int(np.abs(values).argmin())
+    apex = vectors[:, least]
+    corners = nets[:, bernstein.corner_rows(bernstein.degree_of(nets.shape[1]))].reshape(-1, 4)
+    corners = corners[:, :3] / corners[:, 3:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near = np.linalg.norm(corners - apex[:3] / apex[3], axis=1) < _AT_APEX * np.ptp(corners)
+    if abs(values[least]) > _SINGULAR * np.abs(values).max() or not near.any():
+        return form
+    return _with_apex(form, corners[near].mean(axis=0))
 
 
 def _with_apex(form: np.ndarray, apex: np.ndarray) -> np.ndarray:

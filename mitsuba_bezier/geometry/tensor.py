@@ -13,7 +13,7 @@ from . import bernstein
 from .checks import finite_array
 from .triangles import BezierTriangles
 
-__all__ = ["evaluate_tensor", "tensor_matrices", "tensor_to_triangles"]
+__all__ = ["evaluate_tensor", "revolved", "tensor_matrices", "tensor_to_triangles"]
 
 
 def _tensor_nets(net: Any, parameter: str) -> np.ndarray:
@@ -80,6 +80,43 @@ def tensor_to_triangles(net: Any) -> BezierTriangles:
     both = np.stack(tensor_matrices(p, q))
     out = np.einsum("ekl,plc->pekc", both, nets.reshape(count, -1, 4))
     return BezierTriangles(out.reshape(2 * count, -1, 4))
+
+
+def revolved(profile: Any, segments: int = 4) -> np.ndarray:
+    """Revolve a rational Bézier curve around the z axis, as CAD systems do.
+
+    Parameters
+    ----------
+    profile : (q+1, 3) array_like
+        Homogeneous control points ``(r, z, w)`` of the curve, ``r`` being the distance from the
+        axis times the weight. Where it is zero an edge of the patches collapses.
+    segments : int
+        Patches around the axis, at least 3.
+
+    Returns
+    -------
+    (segments, 3, q+1, 4) array
+        Nets of tensor-product patches, quadratic around the axis; with ``d/ds x d/dt`` on the
+        right of the curve, seen from where its way is up and the axis on its left.
+
+    Raises
+    ------
+    NetError
+        If the profile is not of this form or not finite, or the segments are too few.
+    """
+    curve = finite_array("profile", profile, (None, 3), NetError)
+    if len(curve) < 2:
+        raise NetError.expected("profile", "at least two control points", f"{len(curve)}")
+    if segments < 3:
+        raise NetError.expected("segments", "an integer of at least 3", segments)
+    half = np.pi / segments
+    angle = half * (2 * np.arange(segments)[:, None] + np.arange(3))
+    # the middle control point is where the tangents meet: as a homogeneous point, on the circle
+    weight = np.array([1.0, np.cos(half), 1.0])
+    x, y = np.cos(angle), np.sin(angle)
+    r, z, w = (curve[:, k][None, None] for k in range(3))
+    parts = [x[..., None] * r, y[..., None] * r, weight[:, None] * z, weight[:, None] * w]
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
 def evaluate_tensor(net: Any, st: Any) -> np.ndarray:

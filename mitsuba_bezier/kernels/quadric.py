@@ -7,9 +7,9 @@ from typing import Any
 import drjit as dr
 
 from .arrays import Types, dot3, gather_packets
-from .quadric_records import FEW, GROUP, MEMBER, TABLE
+from .members import Roots, find_members, find_members_singly
+from .quadric_records import GROUP
 from .structure import Structure
-from .trim import leaf_test
 
 __all__ = ["edge_tolerance", "group_hit"]
 
@@ -21,12 +21,10 @@ EDGE = 1e-6
 EDGE_GRAZING = 3e-3
 #: Error across the surface of a graph leaf in float32, in leaf sizes.
 ACROSS = 1e-7
-#: Rounding of the discriminant of a cone, over the square of half the linear coefficient: a few
-#: hundred roundings of float64, and the square of a distance well below one of float32.
+#: Rounding of the discriminant of a cone, over the squares of the gradient and of the direction: a
+#: few hundred roundings of float64, and the square of a distance well below one of float32. Not
+#: over the square of their product, which is small where a line runs beside one of the cone.
 APEX = 1e-14
-#: Rounding of a member's rows, in their own scale; it matters where all three coordinates are
-#: small, at the centre of projection (the tip of a lune).
-ROWS = 2e-7
 
 
 def edge_tolerance(cosine: Any, across: Any = ACROSS) -> Any:
@@ -90,8 +88,9 @@ def group_hit(
     near = dr.select(swap, exact2, exact1)
     far = dr.select(swap, exact1, dr.select(linear, dr.inf, exact2))
     t1, t2 = ty.Float(t0 + near), ty.Float(t0 + far)
-    # a line through the apex has a double root, which rounding must not take away
-    valid = active & ((dr.fma(APEX * b, b, disc) if s.has_cones else disc) >= 0.0)
+    if s.has_apexes:  # lines through one have a double root, which rounding must not take away
+        disc = disc + APEX * dot3([ax, ay, az], [ax, ay, az]) * f64(length2)
+    valid = active & (disc >= 0.0)
     want1 = valid & (t1 > 0.0) & (t1 < t_max)
     want2 = valid & (t2 > 0.0) & (t2 < t_max)
     middle = [ty.Float(p[i]) for i in range(3)]
@@ -103,7 +102,7 @@ def group_hit(
         return edge_tolerance(cosine, ty.Float(g[15]))
 
     tolerance1 = tolerance2 = tolerance_for(gradient)
-    if s.has_cones:  # where the gradient has no size that it has everywhere, more or less
+    if s.has_apexes:  # where the gradient has no size that it has everywhere, more or less
         turn = [ty.Float(x) for x in (qx, qy, qz)]
         tolerance1, tolerance2 = (
             tolerance_for([dr.fma(x, turn[i], gradient[i]) for i in range(3)])
@@ -112,135 +111,14 @@ def group_hit(
     p1 = [dr.fma(near32, d[i], middle[i]) for i in range(3)]
     p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
 
-    first, count = ty.UInt(g[13]), ty.UInt(g[14])
-    k, following = first, first + 1
-    if dr.width(s.members) > dr.width(s.rows):
-        first = first + (group + 1) * TABLE
-        point = [dr.select(want1, a, b) for a, b in zip(p1, p2)]
-        many = count >= FEW
-        likely = _likely_member(s, ty, first, point, many & (want1 | want2))
-        k = dr.select(many, first + dr.minimum(likely, count - 1), first)
-        following = dr.select(many, first, first + 1)
-    last = first + count
-    none = dr.zeros(ty.UInt)
-    state = (want1 | want2, k, following, ty.Bool(False), ty.Bool(False), none, none)
-
-    def inside(m: list[Any], p: list[Any], tolerance: Any) -> Any:
-        bary = _values(m, p)
-        total = bary[0] + bary[1] + bary[2]
-        # Compared before a division: near the centre of projection all four are roundings.
-        # Only patches that reach the centre, the lunes, may have a hit there.
-        size = dr.abs(total)
-        sign = dr.select(m[14] != 0.0, 1.0, total)  # planes have sides, barycentrics have not
-        signed = [dr.mulsign(b, sign) for b in bary]
-        lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
-        return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
-
-    def in_disk(leaf: Any, bary: list[Any], active: Any) -> Any:
-        number = dr.select(active, leaf - s.first_group, 0)
-        d = gather_packets(s.rows, 2 * number + 1, 8, active)[4:]
-        inverse = dr.rcp(bary[0] + bary[1] + bary[2])
-        u, v = _in_disk(bary[0] * inverse, bary[1] * inverse, [ty.Float(x) for x in d])
-        return dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance1
-
-    def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
-        point = [dr.fma(along, dd[i], p[i]) for i in range(3)]
-        planar = None
-        if s.has_cones and s.has_disks:
-            planar = sum(dr.abs(a[i]) for i in range(6)) == 0.0
-        return _barycentrics(s, ty, leaf, point, planar, active)
-
-    def body(run, k, following, hit1, hit2, leaf1, leaf2):
-        m = gather_packets(s.members, k, MEMBER, run)
-        leaf = dr.reinterpret_array(ty.UInt, m[12])
-        is_in1, is_in2 = inside(m, p1, tolerance1), inside(m, p2, tolerance2)
-        if s.has_disks:  # a plane is met once
-            disk = m[14] <= -4.0
-            is_in1 = dr.select(disk, in_disk(leaf, _values(m, p1), run & disk), is_in1)
-        in1, in2 = want1 & ~hit1 & is_in1, want2 & ~hit2 & is_in2
-        kept = leaf_test(s, leaf)
-        if kept is not None:
-            in1 = in1 & kept(*parameters(leaf, near, in1), in1)
-            in2 = in2 & kept(*parameters(leaf, far, in2), in2)
-        hit1, hit2 = hit1 | in1, hit2 | in2
-        leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
-        run = run & (following < last) & ~hit1 & (want1 | ~hit2)
-        return run, following, following + 1, hit1, hit2, leaf1, leaf2
-
-    _run, _k, _following, hit1, hit2, leaf1, leaf2 = dr.while_loop(
-        state,
-        cond=lambda *st: st[0],
-        body=body,
-        labels=("run", "member", "following", "hit1", "hit2", "leaf1", "leaf2"),
-        label="bezier group members",
+    planar = None
+    if s.has_cones and s.has_disks:
+        planar = sum(dr.abs(a[i]) for i in range(6)) == 0.0
+    roots = Roots(
+        [want1, want2], [t1, t2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd, planar
     )
-    hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
-    along = dr.select(hit1, near, far)
-    u, v = parameters(leaf, along, hit)
-    tolerance = dr.select(hit1, tolerance1, tolerance2)
+    find = find_members_singly if s.has_inverted else find_members
+    hit, second, leaf, u, v = find(s, ty, group, ty.UInt(g[13]), ty.UInt(g[14]), roots)
+    tolerance = dr.select(second, tolerance2, tolerance1)
     u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
-    return hit, dr.select(hit1, t1, t2), u, v, leaf
-
-
-def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active: Any) -> Any:
-    """Look up which member of a group covers a point, most likely, in the table before them."""
-    floats, bits = first * MEMBER, ty.UInt(0)
-    word = dr.gather(ty.Float32, s.members, floats + (MEMBER - 1), active)
-    word = dr.reinterpret_array(ty.UInt, word)
-    for a in range(3):
-        scale = dr.reinterpret_array(ty.Float32, ((word >> (10 * a)) & 1023) << 21)
-        cell = ty.UInt(dr.clip(dr.fma(point[a], ty.Float(scale), 4.0), 0.0, 7.0))
-        bits = bits | ((cell & 7) << (3 * a))
-    word = dr.gather(ty.Float32, s.members, floats - TABLE * MEMBER + (bits >> 3), active)
-    return (dr.reinterpret_array(ty.UInt, word) >> ((bits & 7) << 2)) & 15
-
-
-def _values(rows: list[Any], p: list[Any]) -> list[Any]:
-    """Return three linear forms of a point."""
-    return [dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3] for r in range(3)]
-
-
-def _barycentrics(
-    s: Structure, ty: Types, leaf: Any, p: list[Any], planar: Any, active: Any
-) -> tuple[Any, Any]:
-    """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32.
-
-    For sectors these are the first two from the corner on that is their middle. `planar` tells a
-    disk from a cone where there are both.
-    """
-    sectors = s.has_cones or s.has_disks
-    number = dr.select(active, leaf - s.first_group, 0)
-    m = gather_packets(s.rows, number, MEMBER if sectors else 12, active)
-    bary = _values(m, p)
-    total = ty.Float(bary[0] + bary[1] + bary[2])
-    inv = dr.rcp(dr.select(total == 0.0, 1.0, total))
-    b0, b1, b2 = (ty.Float(b) for b in bary)
-    u, v = b0 * inv, b1 * inv
-    if not sectors:
-        return u, v
-    # all that is no sector has a fourth row of zeros
-    if s.has_disks:
-        u, v = _in_disk(u, v, [ty.Float(x) for x in m[12:16]])
-    if s.has_cones:
-        last = ty.Float(dot3(m[12:15], p) + m[15])
-        is_cone = last != 0.0
-        if planar is not None:
-            is_cone = is_cone & ~planar
-        # through the larger: where a coordinate is small its root is not well known
-        first = b0 >= b2
-        large = dr.maximum(dr.select(first, b0, b2), 1e-30)
-        one = dr.sqrt(large / last)
-        other = one * b1 / (2.0 * large)
-        u = dr.select(is_cone, dr.select(first, one, other), u)
-        v = dr.select(is_cone, dr.select(first, other, one), v)
-    return u, v
-
-
-def _in_disk(a: Any, b: Any, disk: list[Any]) -> tuple[Any, Any]:
-    """Return parameters of a sector of a disk; see `geometry.sector_leaves`."""
-    d0, d1, _d2, total = disk
-    e, f = dr.fma(total, a, -d0), dr.fma(total, b, -d1)
-    half = 1.0 - dr.fma(e, b, f * a)
-    root = dr.sqrt(dr.maximum(dr.fma(half, half, -4.0 * (e * f) * (a * b)), 0.0))
-    k = 2.0 * (a * b) / (half + root)
-    return dr.fma(k, e, a), dr.fma(k, f, b)
+    return hit, dr.select(second, t2, t1), u, v, leaf

@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry import bernstein
+from ..geometry.inverted_leaves import margin_planes
 from ..geometry.leaves import DEVIATION, DISK, FORM_ENTRIES, LEAST, SECTION, Leaves
 from ..geometry.section_leaves import edge_planes
 from ..geometry.sector_leaves import cone_planes
 
 __all__ = [
+    "CELLS",
     "FEW",
     "GROUP",
     "MEMBER",
     "TABLE",
+    "cell_records",
     "group_records",
     "inverse_records",
     "member_records",
@@ -31,6 +34,13 @@ MEMBER = 16
 #: The last float of the group's first member holds the three factors that take lengths to cells.
 TABLE = 4
 FEW = 3
+#: Where parameters tell whether a point is on a member, groups of at least `FEW` have another
+#: table, of so many words: the factors that take lengths to cells, five that are not used, and for
+#: each of 8 x 8 x 8 cells which members may have a point in it, as 16 bits. The sixth and
+#: further bits of the number of members are the number of the group's table, from one on.
+CELLS = 8 + 256
+#: Cells are as much larger, in their own size, as rounding and tolerances make points be off.
+_AROUND = 0.05
 
 
 def ranges(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,11 +77,7 @@ def inverse_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
 def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
     """Return the records of members, with tables, for `exact` leaves numbered from `first_leaf`."""
     out = np.zeros((len(exact), MEMBER), dtype=np.float32)
-    rows = leaves.frame[exact, :3]
-    for which, planes in ((leaves.are_sections, edge_planes), (leaves.are_cones, cone_planes)):
-        bounded = np.flatnonzero(which[exact])
-        if len(bounded):
-            rows[bounded] = planes(leaves.select(exact[bounded]))
+    rows = _sides(leaves, exact)
     # scaled to what the rows give at the patch, so that an error of float32 has one size
     reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
     scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
@@ -81,6 +87,23 @@ def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.nda
     out[:, 14] = leaves.form[exact, SECTION]
     out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
     return _with_tables(leaves, exact, out)
+
+
+def _sides(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
+    """Return the rows ``(E, 3, 4)`` whose values are not negative on an exact leaf.
+
+    Where the leaf is none of the kinds below, they are its barycentrics but for a common factor.
+    """
+    rows = leaves.frame[exact, :3]
+    for which, planes in (
+        (leaves.are_sections, edge_planes),
+        (leaves.are_inverted, margin_planes),
+        (leaves.are_cones, cone_planes),
+    ):
+        bounded = np.flatnonzero(which[exact])
+        if len(bounded):
+            rows[bounded] = planes(leaves.select(exact[bounded]))
+    return rows
 
 
 def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.ndarray:
@@ -117,6 +140,42 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
     return out
 
 
+def cell_records(leaves: Leaves, exact: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Return the tables of possible members, and write their numbers into the `groups`' records.
+
+    A member may have points in a cell that meets its box, unless one of its sides, where it has
+    such, has all of the cell beyond it.
+    """
+    first, size = ranges(leaves.group[exact])
+    large = np.flatnonzero(size >= FEW)
+    if not leaves.are_inverted.any() or not len(large):
+        return np.zeros((0, CELLS), dtype=np.float32)
+    groups[large, 14] += 32 * (1 + np.arange(len(large)))
+    sides = _sides(leaves, exact)
+    # barycentrics have signs only up to a common factor, and those of disks are no bounds
+    bounded = (leaves.are_sections | leaves.are_inverted | leaves.are_cones)[exact]
+    box = leaves.box[exact] - leaves.shift[exact][:, None]
+    place = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1) - 3.5
+    place = place.transpose(2, 1, 0, 3).reshape(-1, 3)  # x runs fastest
+    out = np.zeros((len(large), CELLS), dtype=np.uint32)
+    for number, g in enumerate(large):
+        mine = slice(first[g], first[g] + size[g])
+        reach = np.where(np.isfinite(box[mine]), np.abs(box[mine]), 0.0).max(axis=(0, 1))
+        reach = np.maximum(reach, 1e-6 * reach.max() + 1e-30) * (1 + _AROUND / 4)
+        cell = reach / 4
+        half = cell * (0.5 + _AROUND)
+        centre = place * cell
+        may = (centre + half >= box[mine, None, 0]) & (centre - half <= box[mine, None, 1])
+        may = may.all(axis=2)
+        value = np.einsum("mrc,sc->mrs", sides[mine, :, :3], centre) + sides[mine, :, 3:]
+        value += (np.abs(sides[mine, :, :3]) @ half)[..., None]
+        may &= (value >= 0).all(axis=1) | ~bounded[mine, None]
+        bits = (may << np.arange(size[g])[:, None]).sum(axis=0).astype(np.uint32)
+        out[number, :3] = (1 / cell).astype(np.float32).view(np.uint32)
+        out[number, 8:] = bits[::2] | (bits[1::2] << np.uint32(16))
+    return out.view(np.float32)
+
+
 def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return where the lines to `points` from the origin meet the quadric, near them."""
     matrix = np.empty((4, 4))
@@ -134,7 +193,7 @@ def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def section_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     """Return the polynomials of exact leaves; nothing if none has any."""
-    if not leaves.are_sections[exact].any():
+    if not (leaves.are_sections | leaves.are_inverted)[exact].any():
         return np.zeros((0, 8), dtype=np.float32)
     nets = leaves.net[exact]
     powers = bernstein.multi_indices(bernstein.degree_of(nets.shape[1]))[:, :2]

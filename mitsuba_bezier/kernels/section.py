@@ -1,4 +1,8 @@
-"""Parameters of a hit on a patch that is bounded by plane sections of its quadric."""
+"""Parameters of points of patches on quadrics by Newton's method in the plane.
+
+Those of a hit on a patch that is bounded by plane sections of its quadric, and those that tell
+whether a point of the quadric is on a patch at all.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +11,26 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
-from .arrays import Types, gather_packets
-from .net import horner
+from ..geometry import inverted_leaves as inverted
+from .arrays import Types, dot3, gather_packets
+from .net import horner, horner_value
 from .quadric_records import MEMBER
 from .structure import Structure
 
-__all__ = ["section_parameters"]
+__all__ = ["inverted_parameters", "section_parameters"]
 
 #: Newton's method ends after a step below this: the error is then its square.
 LAST_STEP = 1e-4
 #: ... or after so many steps; patches that the builder accepts need at most eight.
 MAX_STEPS = 12
+#: ... or sixteen, next to a pole, where it tells whether a point is on a patch.
+MOST_STEPS = 24
+#: Where the map is singular no step is small; there it ends at an error in the plane that is
+#: rounding: of coordinates near one, and of sums of a dozen terms.
+AT_HAND = 5e-7
+#: Rounding of the form that tells which of two points with the same coordinates is meant; on a
+#: patch it is at most one.
+SIDE = 1e-6
 
 
 def section_parameters(
@@ -28,14 +41,8 @@ def section_parameters(
     With the complex polynomials of `geometry.section_leaves`, ``P - (x + i y) Q = 0`` are two
     real equations of the degree of `P` and `Q`, which is at most half of the patch's.
     """
-    degree = _degree(s)
-    net = gather_packets(s.planes, leaf - s.first_group, bernstein.size(degree) * 4, active)
-    a, b = x - 0.5, y - 0.5  # the coefficients are small, so are their roundings
-    equations: list[Any] = []
-    for k in range(bernstein.size(degree)):
-        p_re, p_im, q_re, q_im = net[4 * k : 4 * k + 4]
-        equations.append(dr.fma(-a, q_re, dr.fma(b, q_im, p_re)))
-        equations.append(dr.fma(-a, q_im, dr.fma(-b, q_re, p_im)))
+    # the coefficients are small from the middle on, so are their roundings
+    equations, degree = _equations(s, leaf, x - 0.5, y - 0.5, active)
 
     def body(run, step, u, v):
         (f, g), (fu, gu), (fv, gv) = horner(equations, degree, u, v)
@@ -56,6 +63,110 @@ def section_parameters(
         label="bezier section",
     )
     return dr.select(active, u + 1 / 3, x), dr.select(active, v + 1 / 3, y)
+
+
+def inverted_parameters(
+    s: Structure, ty: Types, leaf: Any, p: list[Any], tolerance: Any, active: Any
+) -> tuple[Any, Any, Any]:
+    """Find out whether a point of a quadric is on a patch; see `geometry.inverted_leaves`.
+
+    Parameters
+    ----------
+    p : three Float64
+        The point, from the group's origin.
+    tolerance : Float
+        How far outside of the patch, in the plane, a point may be.
+
+    Returns
+    -------
+    inside : Bool
+    u, v : Float
+    """
+    rows = gather_packets(s.rows, dr.select(active, leaf - s.first_group, 0), MEMBER, active)
+    x, y, rest, side = (
+        ty.Float(dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3]) for r in range(4)
+    )
+    scale = dr.rcp(x + y + rest)
+    a, b = dr.fma(x, scale, -0.5), dr.fma(y, scale, -0.5)
+    equations, degree = _equations(s, leaf, a, b, active)
+
+    start = [dr.maximum(inverted.LEAST_START, z) for z in (a + 0.5, b + 0.5, -a - b)]
+    scale = dr.rcp(start[0] + start[1] + start[2])
+    u, v = dr.fma(start[0], scale, -1 / 3), dr.fma(start[1], scale, -1 / 3)
+
+    def body(run, step, u, v, before, back_u, back_v, by_u, by_v, by_both):
+        (f, g), (fu, gu), (fv, gv) = horner(equations, degree, u, v)
+        det = dr.fma(fu, gv, -fv * gu)
+        inv = dr.rcp(det)
+        du, dv = dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv
+        size = dr.maximum(dr.abs(du), dr.abs(dv))
+        # what parameters change in the plane
+        by_u, by_v = dr.abs(fu) + dr.abs(gu), dr.abs(fv) + dr.abs(gv)
+        by_both = dr.abs(fu - fv) + dr.abs(gu - gv)
+        # and the plane in them, times the determinant
+        area, known = dr.abs(det), dr.maximum(by_u, by_v)
+        # the equations are those of the plane times Q, which is one in the middle
+        at_hand = dr.maximum(dr.abs(f), dr.abs(g)) < AT_HAND
+        small = size * size * (area + known) < inverted.LAST_STEP**2 * area  # false for NaN
+        too_far = (det <= inverted.LEAST_DROP * before) & ~at_hand
+        factor = dr.select(at_hand & ~small, 0.0, dr.minimum(1.0, dr.rcp(size)))
+        du = dr.select(too_far, -back_u, dr.select(factor > 0.0, factor * du, 0.0))
+        dv = dr.select(too_far, -back_v, dr.select(factor > 0.0, factor * dv, 0.0))
+        back_u = dr.select(too_far, back_u + back_u, inverted.BACK * du)
+        back_v = dr.select(too_far, back_v + back_v, inverted.BACK * dv)
+        before = dr.select(too_far, before, det)
+        step = step + 1
+        run = run & (too_far | ~(small | at_hand)) & (step < MOST_STEPS)
+        return run, step, u + du, v + dv, before, back_u, back_v, by_u, by_v, by_both
+
+    zero = dr.zeros(ty.Float)
+    _run, _step, u, v, *_rest, by_u, by_v, by_both = dr.while_loop(
+        (active, ty.UInt(0), u, v, zero, zero, zero, zero, zero, zero),
+        cond=lambda *st: st[0],
+        body=body,
+        labels=(
+            *("run", "step", "u", "v", "before", "back_u", "back_v"),
+            *("by_u", "by_v", "by_both"),
+        ),
+        label="bezier inversion",
+    )
+
+    def off(u, v):
+        f, g = horner_value(equations, degree, u - 1 / 3, v - 1 / 3)
+        return dr.maximum(dr.abs(f), dr.abs(g))
+
+    # What counts is how far the point is from one of the patch. Parameters beyond an edge are taken
+    # back by way of the one that changes the point least: at a pole they are not known, but nor do
+    # they matter
+    u, v = u + 1 / 3, v + 1 / 3
+    below = dr.minimum(u, 0.0)
+    v = dr.select(by_u > by_both, v + below, v)
+    u = dr.maximum(u, 0.0)
+    below = dr.minimum(v, 0.0)
+    u = dr.select(by_v > by_both, u + below, u)
+    v = dr.maximum(v, 0.0)
+    over = dr.maximum(u + v - 1.0, 0.0)
+    u, v = dr.select(by_u < by_v, u - over, u), dr.select(by_u < by_v, v, v - over)
+    u, v = dr.clip(u, 0.0, 1.0), dr.clip(v, 0.0, 1.0)
+    # and where both change it alike, the point may be that of a corner
+    corner_u = dr.select((u > v) & (u + u + v > 1.0), ty.Float(1.0), 0.0)
+    corner_v = dr.select((v >= u) & (u + v + v > 1.0), ty.Float(1.0), 0.0)
+    off_here, off_there = off(u, v), off(corner_u, corner_v)
+    here = off_here <= off_there
+    inside = active & (dr.minimum(off_here, off_there) <= tolerance) & (side >= -SIDE)
+    return inside, dr.select(here, u, corner_u), dr.select(here, v, corner_v)
+
+
+def _equations(s: Structure, leaf: Any, a: Any, b: Any, active: Any) -> tuple[list[Any], int]:
+    """Return the coefficients of the real and imaginary part of ``P - (a + i b) Q``."""
+    degree = _degree(s)
+    net = gather_packets(s.planes, leaf - s.first_group, bernstein.size(degree) * 4, active)
+    equations: list[Any] = []
+    for k in range(bernstein.size(degree)):
+        p_re, p_im, q_re, q_im = net[4 * k : 4 * k + 4]
+        equations.append(dr.fma(-a, q_re, dr.fma(b, q_im, p_re)))
+        equations.append(dr.fma(-a, q_im, dr.fma(-b, q_re, p_im)))
+    return equations, degree
 
 
 def _degree(s: Structure) -> int:

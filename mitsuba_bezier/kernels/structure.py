@@ -14,6 +14,7 @@ from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
 from .quadric_records import (
     MEMBER,
+    cell_records,
     group_records,
     inverse_records,
     member_records,
@@ -64,6 +65,7 @@ class Structure:
     #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
     only_group: list[Any] | None
     members: Any  #: Float32, x `MEMBER`
+    cells: Any  #: Float32, x `CELLS`: of groups with a member for which `has_inverted`
     #: Float64, x `MEMBER`: the rows of each member, unscaled; in place of the fourth the three
     #: numbers of a disk, and their sum.
     rows: Any
@@ -75,6 +77,9 @@ class Structure:
     graph_count: int  #: affine and projective
     group_count: int
     has_sections: bool  #: whether parameters of some exact leaves take an iteration
+    has_inverted: bool  #: ... and to tell whether a point is on them at all
+    only_inverted: bool  #: ... as on all exact leaves
+    has_apexes: bool  #: whether some exact leaves have a point where their quadric is singular
     has_cones: bool  #: whether some exact leaves are sectors of cones
     has_disks: bool  #: ... or of disks
     leaf_count: int  #: all leaves, members of groups counted singly
@@ -88,6 +93,9 @@ class Structure:
             self.has_affine,
             self.has_projective,
             self.has_groups,
+            self.has_inverted,
+            self.only_inverted,
+            self.has_apexes,
             self.has_cones,
             self.has_disks,
             dr.width(self.domain) < self.leaf_count * DOMAIN,
@@ -176,6 +184,7 @@ def build_structure(
         "planes": section_records(leaves, exact),
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
+    arrays["cells"] = cell_records(leaves, exact, arrays["groups"])
     only = None
     if len(group_first) == 1:
         only = [dr.opaque(ty.Float64, float(x)) for x in arrays["groups"][0]]
@@ -194,6 +203,9 @@ def build_structure(
         graph_count=len(graph),
         group_count=len(group_first),
         has_sections=bool(leaves.are_sections.any()),
+        has_inverted=bool(leaves.are_inverted.any()),
+        only_inverted=len(exact) > 0 and bool(leaves.are_inverted[exact].all()),
+        has_apexes=bool((leaves.are_cones | _have_sides(leaves)).any()),
         has_cones=bool(leaves.are_cones.any()),
         has_disks=bool(leaves.are_disks.any()),
         leaf_count=len(leaves),
@@ -202,6 +214,11 @@ def build_structure(
         + (trims[0].bytes if trims else 0),
         trim=None if trims is None else trims[0],
     )
+
+
+def _have_sides(leaves: Leaves) -> np.ndarray:
+    """Tell which inverted leaves are projected along a line: those at the apex of a cone."""
+    return leaves.are_inverted & leaves.frame[:, 3].any(axis=1)
 
 
 def _at_least_one(a: np.ndarray) -> np.ndarray:
@@ -263,6 +280,7 @@ def _domain(leaves: Leaves, order: np.ndarray, cells: np.ndarray | None) -> np.n
         and (leaves.patch[order] == np.arange(len(order))).all()
         and (section == section[0]).all()
         and section[0] >= 0
+        and (leaves.domain[order] == np.eye(3)).all()
     ):
         return np.zeros((0, DOMAIN), dtype=np.float32)  # leaf and patch are the same
     out = np.zeros((len(order), DOMAIN), dtype=np.float32)

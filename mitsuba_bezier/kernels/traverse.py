@@ -214,7 +214,7 @@ def finish(
     m = gather_packets(s.domain, dr.select(valid, leaf, 0), DOMAIN, valid)
     patch = dr.reinterpret_array(ty.UInt, m[9])
     if s.has_sections:
-        u, v = section_parameters(s, ty, leaf, u, v, valid & (m[11] > 0.0))
+        u, v = section_parameters(s, ty, leaf, u, v, valid & (m[11] == 1.0))
     if s.has_cones or s.has_disks:  # counted from their middle on
         w = 1.0 - u - v
         first, second = ((m[11] == -k) | (m[11] == -k - 3.0) for k in (1.0, 2.0))
@@ -222,7 +222,7 @@ def finish(
             dr.select(first, w, dr.select(second, v, u)),
             dr.select(first, u, dr.select(second, w, v)),
         )
-    if s.has_affine or s.has_projective:
+    if s.has_affine or s.has_projective or s.has_inverted:  # or leaves are patches
         w = 1.0 - u - v
         bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
         inv = dr.rcp(bary[0] + bary[1] + bary[2])

@@ -1,0 +1,418 @@
+"""Patches of any degree on any quadric, or in a plane, as leaves (see `leaves`).
+
+Cylinders, cones and spheres as CAD systems write them, once their tensor-product patches are cut
+along a diagonal, are the example: the diagonal is no plane section. The ray meets the quadric in
+closed form; whether the point is on the patch its parameters tell, which Newton's method finds.
+
+The centre of projection ``S`` is the point in which the normal in the middle of the patch meets
+the quadric ``A`` again: projectively ``(n A n) p - 2 (p A n) n``, at infinity for planes and
+saddles. Projection from there is one-to-one on the part of the quadric where the tangent plane
+``D = S A x`` of ``S`` is positive, as both lines through ``S``, if there are such, lie in that
+plane. In coordinates ``x = X / D, y = Y / D`` a patch is a rational map of the plane, of its own
+degree; affine ones are chosen for which it is near to the identity, and Newton's method begins at
+``(u, v) = (x, y)``. So there are no wrong hits: a point whose coordinates are those of a point
+of the patch is that point. At the apex of a cone ``D`` is zero; there the projection is parallel,
+along a direction ``n``, and a point with ``n A x >= 0`` is the one of two that is meant. That none
+is missed is tried at a lattice of points; patches for which some are, are cut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cache
+
+import numpy as np
+
+from . import bernstein
+from .leaves import (
+    FORM,
+    FORM_ENTRIES,
+    INVERTED,
+    MARGINS,
+    SECTION,
+    Leaves,
+)
+from .quadric_groups import (
+    fit_forms,
+    local_nets,
+    quadric_leaves,
+    relative_distance,
+    with_its_apex,
+)
+from .triangles import BezierTriangles
+
+__all__ = [
+    "BACK",
+    "LAST_STEP",
+    "LEAST_DROP",
+    "LEAST_START",
+    "inverted_leaves",
+    "margin_planes",
+]
+
+#: Newton's method ends after a step whose square, which is the error then, times what one in the
+#: plane changes of the parameters is below the square of this.
+LAST_STEP = 1e-4
+#: It begins at the point with the plane's barycentrics, but none below this.
+LEAST_START = 0.02
+#: At a pole the map turns over. A step that takes the determinant below this share of what it was
+#: went too far, perhaps to its other side: a tenth of it is taken back, then more.
+LEAST_DROP, BACK = 0.02, 0.1
+
+#: Residuals up to this are rounding: nets come through Mitsuba's float32 tensors (6e-8).
+_ROUNDING = 3e-7
+#: Singular values below this share of the largest leave a quadric or a plane undetermined.
+_DETERMINED = 1e-4
+#: The least of ``D`` over a patch, as a share of its largest: what projection magnifies.
+_LEAST = 0.05
+#: ``n A n`` of a direction of projection, as a share of the largest that there is, is at least
+#: this; else directions are tilted by so much.
+_CURVED, _TILT = 0.1, 0.5
+#: Patches are cut so many times, if Newton's method does not do.
+_CUTS = 2
+#: Steps after which the parameters must be found; the kernel takes some more.
+_STEPS = 16
+#: Rounding of nets in float32 in the plane: where a patch is singular, parameters are known no
+#: better, and the Jacobian may have the wrong sign.
+_OFF = 2e-7
+#: Points of a patch at which all this is tried: a lattice of this degree, and one whose
+#: barycentrics are taken to a power, so that there are some close to edges and corners.
+_TRIED = 16
+_CLOSE, _POWER = 10, 5
+#: A patch on a quadric has a system of ten points and ten entries of a form that is worse
+#: conditioned than this; most others have not, and need no fit.
+_CONDITION = 1e5
+
+
+@dataclass
+class _Parts:
+    """Parts of patches with their maps; `L` of them."""
+
+    owner: np.ndarray  #: (L,) of which patch
+    domain: np.ndarray  #: (L, 3, 3) as in `Leaves`
+    nets: np.ndarray  #: (L, K, 4)
+    rows: np.ndarray  #: (L, 4, 4) give X, Y and D - X - Y at a point, and which side it is on
+    fractions: np.ndarray  #: (L, K, 4) as in `section_leaves`
+    margins: np.ndarray  #: (L, 3) how far below zero the barycentrics of the plane go
+
+    def select(self, mask: np.ndarray) -> _Parts:
+        return _Parts(**{f.name: getattr(self, f.name)[mask] for f in fields(_Parts)})
+
+    @staticmethod
+    def join(parts: list[_Parts]) -> _Parts:
+        return _Parts(
+            **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Parts)}
+        )
+
+
+def inverted_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+    """Find such patches, with weights of one sign, and return ``(mask, leaves)``."""
+    n, nets = patches.degree, patches.control_points
+    found = np.zeros(len(nets), dtype=bool)
+    nothing = found, Leaves.empty(bernstein.size(n))
+    w = nets[..., 3]
+    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    which = np.flatnonzero(sign)
+    if n < 2 or not len(which):
+        return nothing
+    local, shift, size = local_nets(patches[which])
+    local *= sign[which, None, None]
+    maybe = np.flatnonzero(_may_lie_on_quadrics(local, n))
+    if not len(maybe):
+        return nothing
+    forms, fits = _fit(local[maybe], n)
+    maybe, forms = maybe[fits], forms[fits]
+    local, shift, size, which = local[maybe], shift[maybe], size[maybe], which[maybe]
+    parts, whole = _invert(local, forms, n)
+    if not whole.any():
+        return nothing
+    parts = parts.select(whole[parts.owner])
+    owner = parts.owner
+    units = np.ones((len(owner), 4))
+    units[:, :3] /= size[owner, None]
+    form = np.zeros((len(owner), FORM))
+    forms = forms[owner] * units[:, None] * units[:, :, None] * size[owner, None, None]
+    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    form[:, SECTION], form[:, MARGINS] = INVERTED, parts.margins
+    # the parts themselves, back in space
+    cut = parts.nets.copy()
+    cut[..., :3] *= size[owner, None, None]
+    cut[..., :3] += cut[..., 3:] * shift[owner, None]
+    leaves = quadric_leaves(
+        BezierTriangles(cut),
+        np.arange(len(owner)),
+        shift[owner],
+        parts.rows * units[:, None],
+        form,
+    )
+    leaves.net, leaves.domain = parts.fractions[leaves.patch], parts.domain[leaves.patch]
+    leaves.patch = which[owner[leaves.patch]]
+    found[which[whole]] = True
+    return found, leaves
+
+
+def margin_planes(leaves: Leaves) -> np.ndarray:
+    """Return planes ``(L, 3, 4)``, as rows on ``(p - shift, 1)``, between which such leaves lie."""
+    rows = leaves.frame[:, :3]
+    return rows + leaves.form[:, MARGINS][..., None] * rows.sum(axis=1, keepdims=True)
+
+
+def _may_lie_on_quadrics(local: np.ndarray, n: int) -> np.ndarray:
+    """Tell, quickly, which nets may lie on a quadric, from ten points of each."""
+    lattice = bernstein.multi_indices(3)[:, :2] / 3.0
+    points = bernstein.basis(n, lattice) @ local
+    points = points / np.linalg.norm(points, axis=2, keepdims=True)
+    system = np.stack([points[..., i] * points[..., j] for i, j in FORM_ENTRIES], axis=-1)
+    # so that no pivot is exactly zero
+    system += 1e-14 * np.random.default_rng(1).random((10, 10))
+    return np.linalg.norm(np.linalg.inv(system), axis=(1, 2)) > _CONDITION
+
+
+def _fit(local: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Fit quadrics, or planes times the plane at infinity: ``(P, 4, 4)``; and tell which fit."""
+    lattice = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
+    points = bernstein.basis(n, lattice) @ local
+    forms, s = fit_forms(points)
+    fits = (s[:, -1] <= _ROUNDING * s[:, 0]) & (s[:, -2] > _DETERMINED * s[:, 0])
+    for i in np.flatnonzero(fits):
+        forms[i] = with_its_apex(forms[i], local[i : i + 1])
+    distance = relative_distance(BezierTriangles(local), forms, np.zeros((len(local), 3)))
+    fits &= distance < _ROUNDING
+    _u, s, vt = np.linalg.svd(local)
+    plane = vt[:, 3]
+    planar = (s[:, 3] <= _ROUNDING * s[:, 0]) & (s[:, 2] > _DETERMINED * s[:, 0])
+    planar &= np.linalg.norm(plane[:, :3], axis=1) > _DETERMINED  # not the plane at infinity
+    flat = np.zeros_like(forms)
+    flat[:, :, 3] += plane / 2
+    flat[:, 3, :] += plane / 2
+    return np.where(planar[:, None, None], flat, forms), fits | planar
+
+
+def _invert(local: np.ndarray, forms: np.ndarray, n: int) -> tuple[_Parts, np.ndarray]:
+    """Find maps of nets, or of parts of them; tell for which there are such for all of it."""
+    owner, nets = np.arange(len(local)), local
+    domain = np.broadcast_to(np.eye(3), (len(local), 3, 3))
+    done: list[_Parts] = []
+    for level in range(_CUTS + 1):
+        parts, good = _maps(owner, domain, nets, forms[owner], n)
+        done.append(parts.select(good))
+        rest = ~good
+        if level == _CUTS or not rest.any():
+            break
+        owner = np.repeat(owner[rest], 4)
+        domain = np.einsum("pij,ekj->peik", domain[rest], bernstein.SPLIT_CORNERS)
+        domain = domain.reshape(-1, 3, 3)
+        nets = np.einsum("ekl,plc->pekc", bernstein.split_matrices(n), nets[rest])
+        nets = nets.reshape(-1, *local.shape[1:])
+    whole = np.ones(len(local), dtype=bool)
+    whole[owner[rest]] = False
+    return _Parts.join(done), whole
+
+
+@cache
+def _centred(n: int) -> np.ndarray:
+    """Return the matrix to coefficients of powers of ``u - 1/3, v - 1/3``."""
+    corners = np.array([[4, 1, -2], [1, 4, -2], [1, 1, 1]]) / 3
+    return bernstein.monomial_matrix(n) @ bernstein.subdivision_matrix(n, corners)
+
+
+def _maps(
+    owner: np.ndarray, domain: np.ndarray, nets: np.ndarray, forms: np.ndarray, n: int
+) -> tuple[_Parts, np.ndarray]:
+    """Project nets, and tell where the result can be inverted."""
+    out, good = _project(owner, domain, nets, forms, n, False)
+    rest = np.flatnonzero(~good)
+    if len(rest):
+        other, found = _project(owner[rest], domain[rest], nets[rest], forms[rest], n, True)
+        good[rest] = found
+        for f in fields(_Parts):
+            getattr(out, f.name)[rest] = getattr(other, f.name)
+    return out, good
+
+
+def _project(
+    owner: np.ndarray,
+    domain: np.ndarray,
+    nets: np.ndarray,
+    forms: np.ndarray,
+    n: int,
+    parallel: bool,
+) -> tuple[_Parts, np.ndarray]:
+    """Project nets from points of their quadrics, or along normals; see `_maps`."""
+    lattice = bernstein.multi_indices(_TRIED)
+    uv = lattice[:, :2] / _TRIED
+    with np.errstate(all="ignore"):
+        rows, good = _rows(nets, forms, n, uv, parallel)
+        maps = np.einsum("prc,pkc->pkr", rows[:, :3], nets)  # X, Y, D - X - Y
+        good &= _is_regular(maps, n, lattice)
+        x, y, rest = maps.transpose(2, 0, 1)
+        total = x + y + rest
+        fractions = np.stack([x - total / 2, y - total / 2, total, 0 * total], axis=-1)
+        fractions = _centred(n) @ fractions
+        good &= np.isfinite(fractions).all(axis=(1, 2))
+        tried = np.flatnonzero(good)
+        good[tried] = _newton_converges(maps[tried], fractions[tried], n)
+        fine = maps
+        for _ in range(2):
+            fine = np.einsum("ekl,plc->pekc", bernstein.split_matrices(n), fine)
+            fine = fine.reshape(-1, *maps.shape[1:])
+        below = -fine / fine.sum(axis=2, keepdims=True)
+        below = below.reshape(len(maps), -1, 3) if len(maps) else np.zeros((0, 1, 3))
+        margins = np.maximum(below.max(axis=1), 0.0)
+    return _Parts(owner, domain.copy(), nets, rows, fractions, margins), good
+
+
+def _rows(
+    nets: np.ndarray, forms: np.ndarray, n: int, uv: np.ndarray, parallel: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows ``(P, 4, 4)``, see `_Parts`, and where the projection magnifies no rounding.
+
+    If `parallel` is set, they project along the normal ``n`` in the middle. A line has two points
+    on the quadric then, on different sides of the plane ``n A x = 0``, to which the fourth row
+    belongs; else that is zero.
+    """
+
+    def product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.einsum("pi,pij,pj->p", x, forms, y)[:, None]
+
+    points = bernstein.basis(n, uv) @ nets
+    points /= points[..., 3:]
+    p = (bernstein.basis(n, np.full((1, 2), 1 / 3)) @ nets)[:, 0]
+    p /= p[:, 3:]
+    normal = np.einsum("pij,pj->pi", forms, p) * [1.0, 1, 1, 0]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    rows = np.zeros((len(nets), 4, 4))
+    if parallel:
+        normal, good = _direction_for_cones(normal, p, forms)
+        centre, d = normal, np.broadcast_to([0.0, 0, 0, 1], p.shape)
+        rows[:, 3] = np.einsum("pij,pj->pi", forms, normal)
+        side = np.einsum("pc,psc->ps", rows[:, 3], points)
+        most = np.take_along_axis(side, np.abs(side).argmax(axis=1)[:, None], axis=1)
+        rows[:, 3] /= most  # positive on the patch
+        good &= (side / most > -_ROUNDING).all(axis=1)
+    else:
+        for _ in range(2):  # onto the quadric, more exactly
+            p = p - product(p, p) / (2 * product(p, normal)) * normal
+        centre = product(normal, normal) * p - 2 * product(p, normal) * normal
+        centre /= np.linalg.norm(centre, axis=1, keepdims=True)
+        d = np.einsum("pij,pj->pi", forms, centre)
+        d /= np.einsum("pc,pc->p", d, p)[:, None]  # one in the middle
+        height = np.einsum("pc,psc->ps", d, points)
+        good = height.min(axis=1) > _LEAST * height.max(axis=1)
+    pair = np.stack([centre, p], axis=1)
+    good &= np.isfinite(pair).all(axis=(1, 2))
+    _u, s, vt = np.linalg.svd(np.where(good[:, None, None], pair, 0.0))
+    good &= s[:, 1] > _DETERMINED * s[:, 0]
+    rows[:, :2] = vt[:, 2:]  # they vanish at the centre and in the middle
+    value = np.einsum("prc,psc->psr", rows[:, :2], points)
+    value = value / np.einsum("pc,psc->ps", d, points)[..., None]
+    plane = np.concatenate([value, np.ones_like(value[..., :1])], axis=2)
+    gram = plane.transpose(0, 2, 1) @ plane
+    usable = np.isfinite(gram).all(axis=(1, 2))
+    gram[~usable] = np.eye(3)
+    usable &= np.linalg.cond(gram) < 1 / _ROUNDING**2
+    gram[~usable] = np.eye(3)
+    affine = np.linalg.solve(gram, plane.transpose(0, 2, 1) @ uv).transpose(0, 2, 1)
+    rows[:, :2] = affine[..., :2] @ rows[:, :2] + affine[..., 2:] * d[:, None]
+    rows[:, 2] = d - rows[:, 0] - rows[:, 1]
+    good &= usable & np.isfinite(rows).all(axis=(1, 2))
+    rows[~good] = 0.0
+    return rows, good
+
+
+def _direction_for_cones(
+    normal: np.ndarray, p: np.ndarray, forms: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return along which directions ``(P, 4)`` to project cones, and which forms are such.
+
+    The normals, unless these run along lines of the cone, which would be one point with the apex:
+    then they are tilted towards the apex.
+    """
+    axes, directions = np.linalg.eigh(forms[:, :3, :3])
+    # the axis is that of the eigenvalue with a sign of its own
+    axis = np.where((axes[:, 1] > 0)[:, None], directions[..., 0], directions[..., 2])
+    values, vectors = np.linalg.eigh(forms)
+    order = np.abs(values).argsort(axis=1)
+    values = np.take_along_axis(np.abs(values), order, axis=1)
+    apex = np.take_along_axis(vectors, order[:, None, :1], axis=2)[..., 0]
+    good = (values[:, 0] < _DETERMINED * values[:, 1]) & (values[:, 1] > _DETERMINED * values[:, 3])
+    good &= np.abs(apex[:, 3]) > _DETERMINED  # no cylinder
+    towards = (apex / apex[:, 3:] - p) * [1.0, 1, 1, 0]
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    inwards = np.sign(np.einsum("pi,pi->p", axis, towards[:, :3]))[:, None] * axis
+    outside = np.einsum("pi,pi->p", inwards, normal[:, :3]) > 0
+    normal = np.where(outside[:, None], normal, -normal)
+    curved = np.abs(np.einsum("pi,pij,pj->p", normal, forms, normal))
+    tilted = curved < _CURVED * np.linalg.norm(forms[:, :3, :3], axis=(1, 2))
+    normal = np.where(tilted[:, None], normal + _TILT * towards, normal)
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True), good
+
+
+def _is_regular(maps: np.ndarray, n: int, lattice: np.ndarray) -> np.ndarray:
+    """Tell, by samples, where the map to the plane does not fold; it may be singular at edges."""
+    uv, inner = lattice[:, :2] / _TRIED, lattice.min(axis=1) > 0
+    value = bernstein.basis(n, uv) @ maps
+    du, dv = (bernstein.basis(n - 1, uv) @ (m @ maps) for m in bernstein.partials_matrices(n))
+    # det (U, U_u, U_v): the Jacobian of the plane's barycentrics times the cube of their sum
+    det = np.linalg.det(np.stack([value, du, dv], axis=-1)) / value.sum(axis=2) ** 3
+    most = det.max(axis=1, keepdims=True)
+    return (det[:, inner] > 0).all(axis=1) & (det > -10 * _OFF * most).all(axis=1)
+
+
+def _tried() -> np.ndarray:
+    """Return the parameters at which Newton's method is tried."""
+    close = (bernstein.multi_indices(_CLOSE) / _CLOSE) ** _POWER
+    close /= close.sum(axis=1, keepdims=True)
+    return np.concatenate([bernstein.multi_indices(_TRIED)[:, :2] / _TRIED, close[:, :2]])
+
+
+def _newton_converges(maps: np.ndarray, fractions: np.ndarray, n: int) -> np.ndarray:
+    """Tell, by samples, where the kernel's iteration finds the parameters.
+
+    Others with the same coordinates will do: on a collapsed edge there are many.
+    """
+    value = bernstein.basis(n, _tried()) @ maps
+    goal = value / value.sum(axis=2, keepdims=True)
+    a, b = goal[..., 0] - 0.5, goal[..., 1] - 0.5
+    start = np.maximum(goal, LEAST_START)
+    u, v = (start / start.sum(axis=2, keepdims=True)).transpose(2, 0, 1)[:2] - 1 / 3
+    i, j = bernstein.multi_indices(n)[:, :2].T
+
+    def evaluate(u: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
+        """Return f and g, and their partials."""
+        ui, vj = u[..., None] ** i, v[..., None] ** j
+        ud, vd = i * u[..., None] ** np.maximum(i - 1, 0), j * v[..., None] ** np.maximum(j - 1, 0)
+        p = np.einsum("tpsk,pkc->ctps", np.stack([ui * vj, ud * vj, ui * vd]), fractions[..., :3])
+        f, g = p[0] - a * p[2], p[1] - b * p[2]
+        return [f[0], g[0], f[1], g[1], f[2], g[2]]
+
+    done = np.zeros(u.shape, dtype=bool)
+    before = np.zeros(u.shape)
+    back_u, back_v = np.zeros((2, *u.shape))
+    for _ in range(_STEPS):
+        f, g, fu, gu, fv, gv = evaluate(u, v)
+        det = fu * gv - fv * gu
+        du, dv = (fv * g - gv * f) / det, (gu * f - fu * g) / det
+        size = np.maximum(np.abs(du), np.abs(dv))
+        by_u, by_v = np.abs(fu) + np.abs(gu), np.abs(fv) + np.abs(gv)
+        area = np.abs(det)
+        at_hand = np.maximum(np.abs(f), np.abs(g)) < _OFF
+        small = size**2 * (area + np.maximum(by_u, by_v)) < LAST_STEP**2 * area
+        too_far = (det <= LEAST_DROP * before) & ~at_hand
+        factor = np.where(at_hand & ~small, 0.0, np.minimum(1.0, 1.0 / size))
+        step_u = np.where(too_far, -back_u, np.where(factor > 0, factor * du, 0.0))
+        step_v = np.where(too_far, -back_v, np.where(factor > 0, factor * dv, 0.0))
+        back_u, back_v = (
+            np.where(too_far, 2 * back, BACK * step)
+            for back, step in ((back_u, step_u), (back_v, step_v))
+        )
+        u, v = np.where(done, u, u + step_u), np.where(done, v, v + step_v)
+        before = np.where(too_far, before, det)
+        done |= (small | at_hand) & ~too_far
+    f, g, fu, gu, fv, gv = evaluate(u, v)
+    off = np.maximum(np.abs(f), np.abs(g))
+    # beyond an edge by what rounding makes of parameters: at a pole and in a cusp they are not
+    # known, but nor do they matter
+    out = np.maximum(np.maximum(-1 / 3 - u, -1 / 3 - v), u + v - 1 / 3)
+    det, most = fu * gv - fv * gu, np.max(np.abs([fu, gu, fv, gv]), axis=0)
+    return ((off < 2 * _OFF) & (out * np.abs(det) <= 4 * _OFF * most + 1e-9)).all(axis=1)

@@ -1,0 +1,86 @@
+"""Nets and rays of the tests of exact leaves, and how hits are compared with the reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from drjit.llvm import Float
+
+import mitsuba_bezier as mb
+from mitsuba_bezier.geometry import bernstein
+from mitsuba_bezier.geometry.leaves import Leaves
+from mitsuba_bezier.geometry.reference import first_hit
+from mitsuba_bezier.kernels.structure import build_structure
+from mitsuba_bezier.kernels.traverse import Hit, intersect
+
+TURN = np.linalg.qr(np.random.default_rng(21).normal(size=(3, 3)))[0]
+MOVE = np.eye(4)
+MOVE[:3, :3], MOVE[:3, 3] = TURN * [1, 2, 0.7], [0.3, -0.5, 0.8]
+#: Takes the plane z = -3 to infinity, and circles to other conics.
+IMAGE = np.array([[1.0, 0.2, 0, 0.1], [0, 1.3, 0.3, 0], [0.1, 0, 0.8, 0.2], [0, 0.1, 0.3, 0.9]])
+
+
+def turned(patches: mb.BezierTriangles, order: tuple[int, ...]) -> mb.BezierTriangles:
+    """Return patches with their corners in another order."""
+    ijk = bernstein.multi_indices(patches.degree)[:, list(order)]
+    rows = [bernstein.row(patches.degree, i, j) for i, j, _k in ijk.tolist()]
+    return mb.BezierTriangles(patches.control_points[:, rows])
+
+
+def moved(patches: mb.BezierTriangles) -> mb.BezierTriangles:
+    return patches.transform(MOVE)
+
+
+def single(patches: mb.BezierTriangles) -> mb.BezierTriangles:
+    """Return patches, elsewhere and stretched, as Mitsuba's tensors have them."""
+    return mb.BezierTriangles(moved(patches).control_points.astype(np.float32))
+
+
+def columns(*arrays: np.ndarray) -> list[Any]:
+    return [[Float(np.ascontiguousarray(a[:, k])) for k in range(3)] for a in arrays]
+
+
+def rays(patches: mb.BezierTriangles, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rays at points of patches, near their edges too, and at some beside them."""
+    rng = np.random.default_rng(1)
+    box = patches.bounds()
+    middle, size = box.mean(axis=(0, 1)), np.ptp(box, axis=(0, 1)).max()
+    uv = rng.dirichlet([0.5, 0.5, 0.5], count)[:, :2]
+    target = patches.points(rng.integers(0, len(patches), count), uv)
+    target[::4] += rng.normal(scale=0.2 * size, size=target[::4].shape)
+    o = middle + 2 * size * rng.normal(size=(count, 3))
+    return o.astype(np.float32), (target - o).astype(np.float32)
+
+
+def traced(leaves: Leaves, o: np.ndarray, d: np.ndarray, **options: Any) -> Hit:
+    return intersect(build_structure(leaves, Float), *columns(o, d), Float(np.inf), **options)
+
+
+def assert_hits_are_those_of_the_reference(
+    patches: mb.BezierTriangles, leaves: Leaves, others: float = 0.0
+) -> None:
+    """Trace rays, and compare hits, parameters and any-hit queries with the reference's.
+
+    Of the hits, `others` may be on another patch: its neighbour, at their common edge.
+    """
+    o, d = rays(patches, 1000)
+    expected = first_hit(patches, o, d)
+    # ten roundings of float32; an edge's tolerance is of that size, too
+    judged = expected.margin.decidable(6e-7) & ~(expected.margin.cosine < 0.01)
+    assert judged.mean() > 0.6
+    hit = traced(leaves, o, d)
+    t, valid = np.array(hit.t, dtype=float), np.array(hit.valid)
+    assert (valid == np.isfinite(expected.t))[judged].all()
+    both = valid & judged
+    assert 0.3 < both.mean() < judged.mean()
+    assert (np.array(hit.patch)[both] != expected.patch[both]).mean() <= others
+    # t is rounded to float32, and the quadric of float32 nets is off by as much
+    off = np.abs(t[both] / expected.t[both] - 1) * expected.margin.cosine[both]
+    assert off.max() < 3e-7
+    uv = np.stack([np.array(hit.u), np.array(hit.v)], axis=1).astype(float)
+    p = patches.points(np.array(hit.patch)[both], uv[both])
+    off = np.linalg.norm(p - (o + t[:, None] * d)[both], axis=1)
+    assert off.max() < 1e-6 * np.linalg.norm(o, axis=1).max()
+    found = traced(leaves, o, d, any_hit=True)
+    assert (np.array(found.valid) == valid).all()

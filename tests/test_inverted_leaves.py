@@ -1,0 +1,291 @@
+"""Patches of any degree on any quadric in closed form, against the float64 reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drjit.llvm import Float
+from leaf_cases import (
+    IMAGE,
+    MOVE,
+    assert_hits_are_those_of_the_reference,
+    columns,
+    moved,
+    rays,
+    single,
+    traced,
+    turned,
+)
+from test_section_leaves import otherwise
+
+import mitsuba_bezier as mb
+from mitsuba_bezier.geometry import bernstein, inverted_leaves, shapes
+from mitsuba_bezier.geometry.leaf_builder import build_leaves, rebuild_leaves
+from mitsuba_bezier.geometry.leaves import DEVIATION, LeafSettings, Leaves
+from mitsuba_bezier.geometry.reference import first_hit
+from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
+from mitsuba_bezier.kernels import quadric_records
+from mitsuba_bezier.kernels.structure import build_structure
+from mitsuba_bezier.kernels.traverse import intersect
+
+H = np.sqrt(0.5)
+LOW, HIGH = [(0, -1, 1), (H, -H, H), (1, 0, 1)], [(1, 0, 1), (H, H, H), (0, 1, 1)]
+
+
+def revolution(*profiles: list[tuple[float, float, float]], segments: int = 4):
+    return mb.BezierTriangles.join([tensor_to_triangles(revolved(p, segments)) for p in profiles])
+
+
+def twisted() -> mb.BezierTriangles:
+    """Return a hyperboloid of one sheet, ruled by lines between two circles."""
+    low, high = (revolved([(1, z, 1), (1, z, 1)])[:, :, :1] for z in (-1, 1))
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(1), -np.sin(1)], [np.sin(1), np.cos(1)]]
+    return tensor_to_triangles(np.concatenate([low, high @ turn.T], axis=2))
+
+
+SPHERE, CYLINDER = revolution(LOW, HIGH), revolution([(1, -1, 1), (1, 1, 1)])
+CONE = revolution([(1, 0, 1), (0, 1, 1)])
+SURFACES = {
+    "cylinder": CYLINDER,
+    "frustum": revolution([(1, -1, 1), (0.4, 1, 1)]),
+    "cone": CONE,
+    "sphere": SPHERE,
+    "sphere, three segments": revolution(LOW, HIGH, segments=3),
+    "paraboloid": revolution([(0, 0, 1), (0.5, 0, 1), (1, 1, 1)]),
+    "hyperboloid": twisted(),
+    "ring": revolution([(0.4, 0, 1), (1, 0, 1)]),
+    "disk": revolution([(0, 0, 1), (1, 0, 1)]),
+    "moved": moved(SPHERE),
+    "image": SPHERE.transform(IMAGE),
+    "negative weights": mb.BezierTriangles(-CONE.control_points),
+    "elevated": CYLINDER.elevate(2),
+    "corners": turned(CONE, (1, 2, 0)),
+    "corners, mirrored": turned(SPHERE, (1, 0, 2)),
+    "cylinder, degree 4": otherwise(shapes.cylinder()),
+    "saddle, degree 4": otherwise(shapes.hyperbolic_paraboloid()),
+    "two sheets, degree 4": otherwise(shapes.hyperboloid_two_sheets()),
+    "lunes, degree 4": otherwise(mb.sphere(cover="lunes")),
+    **{
+        f"{name} as tensors are": single(patches)
+        for name, patches in (
+            ("sphere", SPHERE),
+            ("cylinder", CYLINDER),
+            ("cone", CONE),
+            ("disk", revolution([(0, 0, 1), (1, 0, 1)])),
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("patches", SURFACES.values(), ids=SURFACES.keys())
+def test_hits(patches):
+    leaves = build_leaves(patches)
+    assert leaves.are_inverted.all() and len(leaves) == len(patches)
+    # a point in the tolerance of an edge may belong to the neighbour; 3 of 1000 rays aim there
+    assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
+
+
+def test_one_quadric_is_one_group():
+    for patches in (SPHERE, single(SPHERE), CYLINDER, CONE):
+        assert len(np.unique(build_leaves(patches).group)) == 1
+    assert len(np.unique(build_leaves(mb.BezierTriangles.join([CYLINDER, CONE])).group)) == 2
+    # a table has bits for sixteen
+    groups = np.bincount(build_leaves(revolution(LOW, HIGH, segments=8)).group)
+    assert groups.tolist() == [16, 16]
+
+
+@pytest.mark.parametrize("rounded", [False, True], ids=["float64", "float32"])
+@pytest.mark.parametrize("name", ["sphere", "cone", "disk"])
+def test_next_to_a_pole(name, rounded):
+    # 10^-7 to 1 from where edges collapse: nothing is lost there, and what is near is exact
+    patches = {"sphere": SPHERE, "cone": CONE, "disk": SURFACES["disk"]}[name]
+    pole = np.array([0, 0, 0.0 if name == "disk" else 1.0])
+    rng = np.random.default_rng(2)
+    r, turn = 10 ** rng.uniform(-7, -0.3, 20_000), rng.random(20_000) * 2 * np.pi
+    z = {"sphere": np.sqrt(1 - r * r), "cone": 1 - r, "disk": 0 * r}[name]
+    target = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+    o = pole + [0, 0, 2] + 0.7 * rng.uniform(-1, 1, size=target.shape)
+    if rounded:
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        matrix[:3, 3] = [0.3, -0.5, 0.8]
+        patches = patches.transform(matrix)
+        patches = mb.BezierTriangles(patches.control_points.astype(np.float32))
+        o, target = (x @ matrix[:3, :3].T + matrix[:3, 3] for x in (o, target))
+    o = o.astype(np.float32)
+    d = (target - o).astype(np.float32)
+    leaves = build_leaves(patches)
+    assert leaves.are_inverted.all()
+    hit = traced(leaves, o, d)
+    assert np.array(hit.valid).all()
+    t = np.array(hit.t, dtype=float)
+    # all are met at t = 1; rounding of d, and 6e-8 of a float32 net, over the cosine. The tip of
+    # the cone's other nappe belongs to the patch, as a tolerance of edges
+    assert np.abs(t - 1)[r > 1e-5].max() < 2e-6 and np.abs(t - 1).max() < 1e-5
+    # parameters are those of the point; next to the pole another patch may be met, mirrored
+    uv = np.stack([np.array(hit.u), np.array(hit.v)], axis=1).astype(float)
+    off = np.linalg.norm(patches.points(np.array(hit.patch), uv) - (o + t[:, None] * d), axis=1)
+    assert off[r > 1e-5].max() < 3e-6 and off.max() < 1e-5
+
+
+@pytest.mark.parametrize("rounded", [False, True], ids=["float64", "float32"])
+@pytest.mark.parametrize("name", ["sphere", "cylinder", "cone"])
+def test_nothing_leaks(name, rounded):
+    disk = [(0, 0, 1), (1, 0, 1)]
+    patches = {
+        "sphere": SPHERE,
+        "cylinder": revolution(disk, [(1, 0, 1), (1, 1, 1)], [(1, 1, 1), (0, 1, 1)]),
+        "cone": revolution(disk, [(1, 0, 1), (0, 1, 1)]),
+    }[name]
+    rng = np.random.default_rng(3)
+    count = 200_000
+    z = rng.uniform(0.02, 0.98, count)
+    wide = {"sphere": np.sqrt(1 - z * z), "cylinder": 1, "cone": 1 - z}[name]
+    a, r = rng.random(count) * 2 * np.pi, 0.98 * wide * np.sqrt(rng.random(count))
+    o = np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)
+    s = rng.random(count)
+    s[::3] = np.round(s[::3])
+    uv = np.stack([s, 1 - s, 0 * s], axis=1)
+    uv = uv[np.arange(count)[:, None], (np.arange(3) + rng.integers(0, 3, (count, 1))) % 3]
+    target = patches.points(rng.integers(0, len(patches), count), uv[:, :2])
+    if rounded:
+        patches = single(patches)
+        o, target = (x @ MOVE[:3, :3].T + MOVE[:3, 3] for x in (o, target))
+    o, d = o.astype(np.float32), (target - o).astype(np.float32)
+    leaves = build_leaves(patches)
+    assert leaves.are_inverted.all()
+    assert np.array(traced(leaves, o, d).valid).all()
+    assert np.array(traced(leaves, o, d, any_hit=True).valid).all()
+
+
+def test_cells_tell_all_members_that_have_a_point():
+    patches = mb.BezierTriangles.join([single(SPHERE), CONE.transform(IMAGE)])
+    leaves = build_leaves(patches)
+    assert leaves.are_inverted.all()
+    structure = build_structure(leaves, Float)
+    tables = np.array(structure.cells).reshape(-1, quadric_records.CELLS)
+    groups = np.array(structure.groups).reshape(-1, quadric_records.GROUP)
+    assert len(tables) == (groups[:, 14] >= 32).sum() >= 2
+    # members are as the leaves are: sorted by group
+    uv = np.random.default_rng(5).dirichlet([0.5, 0.5, 0.5], 3000)[:, :2]
+    most = 0
+    for leaf, group in enumerate(leaves.group):
+        first, number = int(groups[group, 13]), int(groups[group, 14])
+        number, count = number // 32, number % 32
+        if not number:
+            continue
+        table = tables[number - 1]
+        inner = np.column_stack([uv, 1 - uv.sum(axis=1)]) @ leaves.domain[leaf].T
+        inner /= inner.sum(axis=1, keepdims=True)  # of the patch, if the leaf is a part of it
+        at = patches.points(np.full(3000, leaves.patch[leaf]), inner[:, :2]) - leaves.shift[leaf]
+        cell = np.floor(at * table[:3] + 4).astype(int)
+        assert (cell >= 0).all() and (cell < 8).all()
+        index = cell @ [1, 8, 64]
+        words = table[8:].view(np.uint32)[index // 2] >> (16 * (index % 2)).astype(np.uint32)
+        assert ((words >> np.uint32(leaf - first)) & 1).all()
+        assert (words & 0xFFFF < 1 << count).all()
+        most = max(most, np.mean([bin(w & 0xFFFF).count("1") for w in words.tolist()]))
+    # or they would be no help: there are 16 and 8
+    assert most < 4
+
+
+def test_what_newton_does_not_find_is_cut(monkeypatch):
+    # fewer steps are allowed than whole patches take
+    monkeypatch.setattr(inverted_leaves, "_STEPS", 3)
+    patches = revolution([(0.2, 0, 1), (1, 0.3, 1)], segments=3)
+    leaves = build_leaves(patches)
+    assert leaves.are_inverted.all() and len(leaves) > len(patches)
+    area = np.abs(np.linalg.det(leaves.domain / leaves.domain.sum(axis=1, keepdims=True)))
+    np.testing.assert_allclose(np.bincount(leaves.patch, area), 1.0, atol=1e-12)
+    assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
+    # and if that is no help, it is left to others
+    monkeypatch.setattr(inverted_leaves, "_STEPS", 1)
+    assert not build_leaves(patches).exact.any()
+
+
+def test_what_lies_on_no_quadric_is_left_to_others():
+    for patches in (SPHERE, CONE, SURFACES["disk"], SURFACES["saddle, degree 4"]):
+        net = patches.control_points.copy()
+        net[0, 1, :3] += 1e-5 * np.array([1, 2, 3])
+        leaves = build_leaves(mb.BezierTriangles(net))
+        assert not leaves.exact[leaves.patch == 0].any()
+        assert leaves.exact[leaves.patch == 1].all()
+    # a quadric, and weights of both signs
+    net = CYLINDER.control_points.copy()
+    net[0] *= np.where(bernstein.multi_indices(3)[:, :1] % 2, -1, 1)
+    leaves = build_leaves(mb.BezierTriangles(net))
+    assert not leaves.are_inverted[leaves.patch == 0].any()
+    # folded: planar, but no map that can be inverted
+    points = [[0, 0, 0], [1, 0, 0], [0.5, 0, 0], [0, 1, 0], [2, 2, 0], [0, 0.1, 0]]
+    folded = mb.BezierTriangles([[[*p, 1] for p in points]])
+    assert not build_leaves(folded).exact.any()
+    assert not build_leaves(mb.torus()).exact.any()
+    assert not build_leaves(SPHERE, LeafSettings(closed_form=False)).exact.any()
+
+
+def test_among_others():
+    # with sections, sectors, what has a linear inverse and what has none, under one tree
+    parts = [
+        SPHERE,
+        mb.sphere(center=(30, 0, 0)),
+        mb.sphere(center=(-30, 0, 0), cover="tetrahedral"),
+        mb.torus(center=(0, 40, 0)),
+        shapes.cone(center=(0, -30, 0), capped=True),
+        CONE.transform(np.eye(4) + 40 * np.eye(4)[2][:, None] * np.eye(4)[3]),
+    ]
+    first = np.cumsum([0, *(len(p) for p in parts)])
+    leaves = [build_leaves(p) for p in parts]
+    leaves = [replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())]
+    structure = build_structure(Leaves.join(leaves), Float)
+    assert structure.has_inverted and structure.has_sections and not structure.only_inverted
+    for part, begin in zip(parts, first.tolist()):
+        o, d = rays(part, 3000)
+        # from near by, where nothing else is in front
+        o = (o + d * 0.9).astype(np.float32)
+        d = (0.1 * d).astype(np.float32)
+        alone = traced(build_leaves(part), o, d)
+        hit = intersect(structure, *columns(o, d), Float(2.0))
+        near = np.array(alone.t) < 1.9
+        assert near.mean() > 0.3
+        np.testing.assert_allclose(np.array(hit.t)[near], np.array(alone.t)[near], atol=3e-5)
+        # a point in the tolerance of an edge may belong to the neighbour
+        others = np.array(hit.patch)[near] != np.array(alone.patch)[near] + begin
+        assert others.mean() < 3e-3
+        for x, y in ((hit.u, alone.u), (hit.v, alone.v)):
+            np.testing.assert_allclose(
+                np.array(x)[near][~others], np.array(y)[near][~others], atol=1e-4
+            )
+
+
+def test_one_group_of_two_kinds():
+    tetrahedral = mb.sphere(cover="tetrahedral").elevate(2)
+    patches = mb.BezierTriangles.join([tetrahedral[:4], SPHERE[8:16]])
+    leaves = build_leaves(patches)
+    assert leaves.exact.all() and leaves.are_inverted.sum() == 8
+    o, d = rays(patches, 4000)
+    expected = first_hit(patches, o, d)
+    judged = expected.margin.decidable(6e-7) & ~(expected.margin.cosine < 0.01)
+    hit = traced(leaves, o, d)
+    assert (np.array(hit.valid) == np.isfinite(expected.t))[judged].all()
+    both = np.array(hit.valid) & judged
+    off = np.abs(np.array(hit.t, dtype=float)[both] / expected.t[both] - 1)
+    assert (off * expected.margin.cosine[both]).max() < 3e-7 and both.mean() > 0.3
+
+
+def test_the_rest_is_kept_when_some_change():
+    leaves = build_leaves(SPHERE)
+    net = SPHERE.control_points.copy()
+    net[3, 4, :3] += 0.01
+    changed = mb.BezierTriangles(net)
+    again = rebuild_leaves(changed, LeafSettings(), SPHERE, leaves)
+    assert again.are_inverted.sum() == 15 and not again.exact[again.patch == 3].any()
+
+
+def test_deviation_is_that_of_the_net():
+    assert build_leaves(SPHERE).form[:, DEVIATION].max() < 1e-11
+    deviation = build_leaves(single(SPHERE)).form[:, DEVIATION]
+    # one rounding of float32 is 6e-8, in units of a patch, of which the largest is 2 long
+    assert 1e-9 < deviation.max() < 3e-7
