@@ -63,11 +63,13 @@ LEAST_DROP, BACK = 0.02, 0.1
 _ROUNDING = 3e-7
 #: Singular values below this share of the largest leave a quadric or a plane undetermined.
 _DETERMINED = 1e-4
+#: A quadric is determined if the residual is so much below the next singular value, and that so
+#: large: it is small for cones that are narrow or flat.
+_GAP, _LEAST_GAP = 1e-2, 1e-6
 #: The least of ``D`` over a patch, as a share of its largest: what projection magnifies.
 _LEAST = 0.05
-#: ``n A n`` of a direction of projection, as a share of the largest that there is, is at least
-#: this; else directions are tilted by so much.
-_CURVED, _TILT = 0.1, 0.5
+#: Ways to project, the first that does is taken.
+_WAYS = ("normal", "mean", "axis")
 #: Patches are cut so many times, if Newton's method does not do.
 _CUTS = 2
 #: Steps after which the parameters must be found; the kernel takes some more.
@@ -173,7 +175,8 @@ def _fit(local: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     lattice = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
     points = bernstein.basis(n, lattice) @ local
     forms, s = fit_forms(points)
-    fits = (s[:, -1] <= _ROUNDING * s[:, 0]) & (s[:, -2] > _DETERMINED * s[:, 0])
+    fits = (s[:, -1] <= _ROUNDING * s[:, 0]) & (s[:, -2] > _LEAST_GAP * s[:, 0])
+    fits &= s[:, -1] <= _GAP * s[:, -2]
     for i in np.flatnonzero(fits):
         forms[i] = with_its_apex(forms[i], local[i : i + 1])
     distance = relative_distance(BezierTriangles(local), forms, np.zeros((len(local), 3)))
@@ -219,12 +222,13 @@ def _centred(n: int) -> np.ndarray:
 def _maps(
     owner: np.ndarray, domain: np.ndarray, nets: np.ndarray, forms: np.ndarray, n: int
 ) -> tuple[_Parts, np.ndarray]:
-    """Project nets, and tell where the result can be inverted."""
-    out, good = _project(owner, domain, nets, forms, n, False)
-    rest = np.flatnonzero(~good)
-    if len(rest):
-        other, found = _project(owner[rest], domain[rest], nets[rest], forms[rest], n, True)
-        good[rest] = found
+    """Project nets, in one of three ways, and tell where the result can be inverted."""
+    out, good = _project(owner, domain, nets, forms, n, _WAYS[0])
+    for way in _WAYS[1:]:
+        rest = np.flatnonzero(~good)
+        if not len(rest):
+            break
+        other, good[rest] = _project(owner[rest], domain[rest], nets[rest], forms[rest], n, way)
         for f in fields(_Parts):
             getattr(out, f.name)[rest] = getattr(other, f.name)
     return out, good
@@ -236,13 +240,13 @@ def _project(
     nets: np.ndarray,
     forms: np.ndarray,
     n: int,
-    parallel: bool,
+    way: str,
 ) -> tuple[_Parts, np.ndarray]:
-    """Project nets from points of their quadrics, or along normals; see `_maps`."""
+    """Project nets in one way; see `_rows`."""
     lattice = bernstein.multi_indices(_TRIED)
     uv = lattice[:, :2] / _TRIED
     with np.errstate(all="ignore"):
-        rows, good = _rows(nets, forms, n, uv, parallel)
+        rows, good = _rows(nets, forms, n, uv, way)
         maps = np.einsum("prc,pkc->pkr", rows[:, :3], nets)  # X, Y, D - X - Y
         good &= _is_regular(maps, n, lattice)
         x, y, rest = maps.transpose(2, 0, 1)
@@ -263,13 +267,14 @@ def _project(
 
 
 def _rows(
-    nets: np.ndarray, forms: np.ndarray, n: int, uv: np.ndarray, parallel: bool
+    nets: np.ndarray, forms: np.ndarray, n: int, uv: np.ndarray, way: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rows ``(P, 4, 4)``, see `_Parts`, and where the projection magnifies no rounding.
 
-    If `parallel` is set, they project along the normal ``n`` in the middle. A line has two points
-    on the quadric then, on different sides of the plane ``n A x = 0``, to which the fourth row
-    belongs; else that is zero.
+    The centre is where the quadric is met again by the normal in the middle, or by the line from
+    there to the mean of all points: no affine map changes that. Along the axis of a cone a line
+    meets it twice, on different sides of the plane ``n A x = 0``, to which the fourth row belongs;
+    else that is zero.
     """
 
     def product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -279,18 +284,20 @@ def _rows(
     points /= points[..., 3:]
     p = (bernstein.basis(n, np.full((1, 2), 1 / 3)) @ nets)[:, 0]
     p /= p[:, 3:]
-    normal = np.einsum("pij,pj->pi", forms, p) * [1.0, 1, 1, 0]
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     rows = np.zeros((len(nets), 4, 4))
-    if parallel:
-        normal, good = _direction_for_cones(normal, p, forms)
-        centre, d = normal, np.broadcast_to([0.0, 0, 0, 1], p.shape)
-        rows[:, 3] = np.einsum("pij,pj->pi", forms, normal)
+    if way == "axis":
+        centre, good = _axes_of_cones(forms)
+        d = np.broadcast_to([0.0, 0, 0, 1], p.shape)
+        rows[:, 3] = np.einsum("pij,pj->pi", forms, centre)
         side = np.einsum("pc,psc->ps", rows[:, 3], points)
         most = np.take_along_axis(side, np.abs(side).argmax(axis=1)[:, None], axis=1)
         rows[:, 3] /= most  # positive on the patch
         good &= (side / most > -_ROUNDING).all(axis=1)
     else:
+        normal = np.einsum("pij,pj->pi", forms, p) * [1.0, 1, 1, 0]
+        if way == "mean":
+            normal = points.mean(axis=1) - p
+        normal = _unit(normal)
         for _ in range(2):  # onto the quadric, more exactly
             p = p - product(p, p) / (2 * product(p, normal)) * normal
         centre = product(normal, normal) * p - 2 * product(p, normal) * normal
@@ -320,32 +327,21 @@ def _rows(
     return rows, good
 
 
-def _direction_for_cones(
-    normal: np.ndarray, p: np.ndarray, forms: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return along which directions ``(P, 4)`` to project cones, and which forms are such.
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
 
-    The normals, unless these run along lines of the cone, which would be one point with the apex:
-    then they are tilted towards the apex.
-    """
-    axes, directions = np.linalg.eigh(forms[:, :3, :3])
-    # the axis is that of the eigenvalue with a sign of its own
-    axis = np.where((axes[:, 1] > 0)[:, None], directions[..., 0], directions[..., 2])
+
+def _axes_of_cones(forms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions ``(P, 4)`` inside of cones, and which forms are those of cones."""
     values, vectors = np.linalg.eigh(forms)
     order = np.abs(values).argsort(axis=1)
     values = np.take_along_axis(np.abs(values), order, axis=1)
     apex = np.take_along_axis(vectors, order[:, None, :1], axis=2)[..., 0]
-    good = (values[:, 0] < _DETERMINED * values[:, 1]) & (values[:, 1] > _DETERMINED * values[:, 3])
-    good &= np.abs(apex[:, 3]) > _DETERMINED  # no cylinder
-    towards = (apex / apex[:, 3:] - p) * [1.0, 1, 1, 0]
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    inwards = np.sign(np.einsum("pi,pi->p", axis, towards[:, :3]))[:, None] * axis
-    outside = np.einsum("pi,pi->p", inwards, normal[:, :3]) > 0
-    normal = np.where(outside[:, None], normal, -normal)
-    curved = np.abs(np.einsum("pi,pij,pj->p", normal, forms, normal))
-    tilted = curved < _CURVED * np.linalg.norm(forms[:, :3, :3], axis=(1, 2))
-    normal = np.where(tilted[:, None], normal + _TILT * towards, normal)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True), good
+    good = (values[:, 0] < 1e-3 * values[:, 1]) & (np.abs(apex[:, 3]) > _DETERMINED)
+    # one eigenvalue has a sign of its own
+    values, vectors = np.linalg.eigh(forms[:, :3, :3])
+    axis = np.where((values[:, 1] > 0)[:, None], vectors[..., 0], vectors[..., 2])
+    return np.concatenate([axis, np.zeros((len(forms), 1))], axis=1), good
 
 
 def _is_regular(maps: np.ndarray, n: int, lattice: np.ndarray) -> np.ndarray:
