@@ -275,6 +275,21 @@ def test_one_group_of_two_kinds():
     assert (off * expected.margin.cosine[both]).max() < 3e-7 and both.mean() > 0.3
 
 
+def test_sets_of_mixed_degrees_are_inverted_at_their_own():
+    # in float32, and elevated as they are beside a patch of degree 9
+    patches = mb.BezierTriangles.join([single(CYLINDER), single(SPHERE)]).elevate(4)
+    patches = mb.BezierTriangles(patches.control_points.astype(np.float32)).elevate(1)
+    assert patches.degree == 9
+    leaves = build_leaves(patches)
+    assert leaves.are_inverted.all()
+    powers = bernstein.multi_indices(9)[:, :2].sum(axis=1)
+    used = [powers[net.any(axis=1)].max() for net in leaves.net]
+    assert used == np.where(leaves.patch < 8, 3, 4).tolist()
+    assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
+    # sixteen would be too much for a kernel
+    assert not build_leaves(otherwise(otherwise(SPHERE))).exact.any()
+
+
 def test_the_rest_is_kept_when_some_change():
     leaves = build_leaves(SPHERE)
     net = SPHERE.control_points.copy()

@@ -24,7 +24,9 @@ from functools import cache
 import numpy as np
 
 from . import bernstein
+from .degree_reduction import reduce_degree
 from .leaves import (
+    DEVIATION,
     FORM,
     FORM_ENTRIES,
     INVERTED,
@@ -77,6 +79,8 @@ _STEPS = 16
 #: Rounding of nets in float32 in the plane: where a patch is singular, parameters are known no
 #: better, and the Jacobian may have the wrong sign.
 _OFF = 2e-7
+#: Patches of higher degrees are left to others: the kernels would be too large.
+_HIGHEST = 8
 #: Points of a patch at which all this is tried: a lattice of this degree, and one whose
 #: barycentrics are taken to a power, so that there are some close to edges and corners.
 _TRIED = 16
@@ -108,26 +112,65 @@ class _Parts:
 
 
 def inverted_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
-    """Find such patches, with weights of one sign, and return ``(mask, leaves)``."""
-    n, nets = patches.degree, patches.control_points
-    found = np.zeros(len(nets), dtype=bool)
-    nothing = found, Leaves.empty(bernstein.size(n))
-    w = nets[..., 3]
+    """Find such patches, with weights of one sign, and return ``(mask, leaves)``.
+
+    Those that are elevations, as in sets of mixed degrees, are inverted at their own degree.
+    """
+    found = np.zeros(len(patches), dtype=bool)
+    parts = [Leaves.empty(patches.control_points.shape[1])]
+    left = np.flatnonzero(_on_quadrics(patches)[0])
+    for degree in range(2, patches.degree + 1):
+        if not len(left) or degree > _HIGHEST:
+            break
+        reducible, lower, residual = reduce_degree(patches[left], degree)
+        if lower is None:
+            continue
+        which, leaves = _of_this_degree(lower)
+        if degree < patches.degree:  # or it is rounding
+            leaves.form[:, DEVIATION] += residual[leaves.patch]
+        leaves.patch = left[reducible][leaves.patch]
+        found[left[reducible][which]] = True
+        parts.append(leaves)
+        left = left[~reducible]
+    return found, Leaves.join(parts)
+
+
+def _on_quadrics(patches: BezierTriangles) -> tuple[np.ndarray, ...]:
+    """Tell which patches lie on quadrics, or in planes.
+
+    Returns
+    -------
+    found : (P,) bool array
+    local, shift, size, forms : arrays
+        Of those found: what `local_nets` says, with positive weights, and the quadrics.
+    """
+    w = patches.control_points[..., 3]
     sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
-    which = np.flatnonzero(sign)
-    if n < 2 or not len(which):
-        return nothing
-    local, shift, size = local_nets(patches[which])
-    local *= sign[which, None, None]
-    maybe = np.flatnonzero(_may_lie_on_quadrics(local, n))
-    if not len(maybe):
-        return nothing
-    forms, fits = _fit(local[maybe], n)
-    maybe, forms = maybe[fits], forms[fits]
-    local, shift, size, which = local[maybe], shift[maybe], size[maybe], which[maybe]
+    found = (sign != 0) & (patches.degree > 1)
+    local, shift, size = local_nets(patches)
+    local *= sign[:, None, None]
+    which = np.flatnonzero(found)
+    which = which[_may_lie_on_quadrics(local[which], patches.degree)]
+    forms = np.zeros((len(which), 4, 4))
+    if len(which):
+        forms, fits = _fit(local[which], patches.degree)
+        which, forms = which[fits], forms[fits]
+    found = np.zeros_like(found)
+    found[which] = True
+    return found, local[which], shift[which], size[which], forms
+
+
+def _of_this_degree(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+    """Do what `inverted_leaves` does, for patches that are no elevations."""
+    n = patches.degree
+    found, local, shift, size, forms = _on_quadrics(patches)
+    which = np.flatnonzero(found)
+    found[:] = False
+    if not len(which):
+        return found, Leaves.empty(bernstein.size(n))
     parts, whole = _invert(local, forms, n)
     if not whole.any():
-        return nothing
+        return found, Leaves.empty(bernstein.size(n))
     parts = parts.select(whole[parts.owner])
     owner = parts.owner
     units = np.ones((len(owner), 4))
