@@ -70,7 +70,7 @@ BALL = mb.sphere(cover="tetrahedral")
 
 SURFACES = {
     "closed forms": (lambda: BALL, 3),
-    "graphs": (lambda: mb.sphere(cover="octants"), 3),
+    "inverted": (lambda: mb.sphere(cover="octants"), 3),
     "several roots": (lambda: mb.torus(tube=0.4), 3),
     "infinity": (lambda: mb.hyperboloid_one_sheet().elevate(), 4),
 }

@@ -448,10 +448,14 @@ def _newton_converges(maps: np.ndarray, fractions: np.ndarray, n: int) -> np.nda
         u, v = np.where(done, u, u + step_u), np.where(done, v, v + step_v)
         before = np.where(too_far, before, det)
         done |= (small | at_hand) & ~too_far
-    f, g, fu, gu, fv, gv = evaluate(u, v)
-    off = np.maximum(np.abs(f), np.abs(g))
-    # beyond an edge by what rounding makes of parameters: at a pole and in a cusp they are not
-    # known, but nor do they matter
-    out = np.maximum(np.maximum(-1 / 3 - u, -1 / 3 - v), u + v - 1 / 3)
-    det, most = fu * gv - fv * gu, np.max(np.abs([fu, gu, fv, gv]), axis=0)
-    return ((off < 2 * _OFF) & (out * np.abs(det) <= 4 * _OFF * most + 1e-9)).all(axis=1)
+    # back into the triangle, by way of the parameter that moves the point least
+    by_both = np.abs(fu - fv) + np.abs(gu - gv)
+    u, v = u + 1 / 3, v + 1 / 3
+    v = np.where(by_u > by_both, v + np.minimum(u, 0.0), v)
+    u = np.maximum(u, 0.0)
+    u = np.where(by_v > by_both, u + np.minimum(v, 0.0), u)
+    v = np.maximum(v, 0.0)
+    over = np.maximum(u + v - 1.0, 0.0)
+    u, v = np.where(by_u < by_v, u - over, u), np.where(by_u < by_v, v, v - over)
+    f, g = evaluate(np.clip(u, 0.0, 1.0) - 1 / 3, np.clip(v, 0.0, 1.0) - 1 / 3)[:2]
+    return (np.maximum(np.abs(f), np.abs(g)) < 2 * _OFF).all(axis=1)

@@ -131,10 +131,6 @@ def inverted_parameters(
         label="bezier inversion",
     )
 
-    def off(u, v):
-        f, g = horner_value(equations, degree, u - 1 / 3, v - 1 / 3)
-        return dr.maximum(dr.abs(f), dr.abs(g))
-
     # What counts is how far the point is from one of the patch. Parameters beyond an edge are taken
     # back by way of the one that changes the point least: at a pole they are not known, but nor do
     # they matter
@@ -148,13 +144,9 @@ def inverted_parameters(
     over = dr.maximum(u + v - 1.0, 0.0)
     u, v = dr.select(by_u < by_v, u - over, u), dr.select(by_u < by_v, v, v - over)
     u, v = dr.clip(u, 0.0, 1.0), dr.clip(v, 0.0, 1.0)
-    # and where both change it alike, the point may be that of a corner
-    corner_u = dr.select((u > v) & (u + u + v > 1.0), ty.Float(1.0), 0.0)
-    corner_v = dr.select((v >= u) & (u + v + v > 1.0), ty.Float(1.0), 0.0)
-    off_here, off_there = off(u, v), off(corner_u, corner_v)
-    here = off_here <= off_there
-    inside = active & (dr.minimum(off_here, off_there) <= tolerance) & (side >= -SIDE)
-    return inside, dr.select(here, u, corner_u), dr.select(here, v, corner_v)
+    f, g = horner_value(equations, degree, u - 1 / 3, v - 1 / 3)
+    inside = active & (dr.maximum(dr.abs(f), dr.abs(g)) <= tolerance) & (side >= -SIDE)
+    return inside, u, v
 
 
 def _equations(s: Structure, leaf: Any, a: Any, b: Any, active: Any) -> tuple[list[Any], int]:
