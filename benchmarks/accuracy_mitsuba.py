@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from accuracy_rows import scaled
+from accuracy_rows import of_revolution, scaled
 from accuracy_tools import GENERAL, Line, Tracer, at_random, describe, toward, unit
 
 import mitsuba_bezier as mb
@@ -40,6 +40,7 @@ COVERS = (
     ("lunes", None),
     ("tetrahedral", GENERAL),
     ("octants", GENERAL),
+    ("of revolution", None),
 )
 
 
@@ -48,7 +49,8 @@ def spheres(rng: Rng, scale: float, covers: tuple = ()) -> Iterator[Line]:
     mi.set_variant(VARIANT)
     native = mi.load_dict({"type": "scene", "sphere": {"type": "sphere"}})
     for cover, settings in covers or COVERS:
-        tracer = Tracer(mb.sphere(cover=cover), settings)
+        patches = of_revolution("sphere") if cover == "of revolution" else mb.sphere(cover=cover)
+        tracer = Tracer(patches, settings)
         for kind, full in (("coherent", 4_000_000), ("random", 2_000_000)):
             count = scaled(full, scale)
             o, d = _coherent(count) if kind == "coherent" else at_random(rng, count)

@@ -27,7 +27,15 @@ from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.geometry.triangulations import triangulated
 
-__all__ = ["collineations", "infinity", "leaks", "models", "odd", "random_triangles"]
+__all__ = [
+    "collineations",
+    "infinity",
+    "leaks",
+    "models",
+    "odd",
+    "of_revolution",
+    "random_triangles",
+]
 
 Rng = np.random.Generator
 SPHERE = np.diag([1.0, 1.0, 1.0, -1.0])
@@ -453,11 +461,14 @@ def models(rng: Rng, scale: float) -> Iterator[Line]:
     cosine = np.einsum("ni,ni->n", hits.normals[np.arange(count), index], unit(d.astype(float)))
     judged = np.abs(hits.clearance) > 2e-6
     yield against_truth("torus", Tracer(patches), o, d, t, cosine, judged)
-    for name, settings in (("cone", None), ("cone, general", GENERAL)):
-        yield _cone(rng, count // 2, settings, name)
+    yield _cone(rng, count // 2, shapes.cone(), None, "cone")
+    yield _cone(rng, count // 2, shapes.cone(), GENERAL, "cone, general")
+    # its last eight patches, without the foot
+    revolution = of_revolution("cone")[np.arange(8, 16)]
+    yield _cone(rng, count // 2, revolution, None, "cone of revolution")
 
 
-def _cone(rng: Rng, count: int, settings, name: str) -> Line:
+def _cone(rng: Rng, count: int, patches: BezierTriangles, settings, name: str) -> Line:
     """Rays to points at all distances down to 1e-6 from the apex."""
     depth, turn = _log_uniform(rng, 1e-6, 1, count), rng.random(count) * 2 * np.pi
     target = np.stack([depth * np.cos(turn), depth * np.sin(turn), 1 - depth], axis=1)
@@ -479,7 +490,7 @@ def _cone(rng: Rng, count: int, settings, name: str) -> Line:
     judged = (apart > 1e-5) & (np.abs(hits.clearance) > 4e-6)
     # the two nappes meet at the apex, the base is an edge
     judged &= ~(finite & ((np.abs(z) < 1e-4) | (np.abs(z - 1) < 3e-6))).any(axis=1)
-    return against_truth(name, Tracer(shapes.cone(), settings), o, d, t, cosine, judged)
+    return against_truth(name, Tracer(patches, settings), o, d, t, cosine, judged)
 
 
 # ------------------------------------------------------------------ odd rays

@@ -131,7 +131,7 @@ def test_next_to_a_pole(name, rounded):
     assert off[r > 1e-5].max() < 3e-6 and off.max() < 1e-5
 
 
-@pytest.mark.parametrize("order", permutations(range(3)))
+@pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_one_patch_alone_has_all_of_its_corners(order):
     # no neighbour has what is missed
     rng = np.random.default_rng(6)
