@@ -22,7 +22,7 @@ from leaf_cases import (
 from test_section_leaves import otherwise
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import bernstein, inverted_leaves, shapes
+from mitsuba_bezier.geometry import bernstein, inverted_leaves, plane_inverse, shapes
 from mitsuba_bezier.geometry.leaf_builder import build_leaves, rebuild_leaves
 from mitsuba_bezier.geometry.leaves import DEVIATION, LeafSettings, Leaves
 from mitsuba_bezier.geometry.reference import first_hit
@@ -227,7 +227,7 @@ def test_what_reaches_too_far_is_cut(monkeypatch):
     np.testing.assert_allclose(np.bincount(leaves.patch, area), 1.0, atol=1e-12)
     assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
     # and if Newton's method does not find it, it is left to others
-    monkeypatch.setattr(inverted_leaves, "_STEPS", 1)
+    monkeypatch.setattr(plane_inverse, "_STEPS", 1)
     assert not build_leaves(patches).exact.any()
 
 

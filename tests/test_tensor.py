@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mitsuba_bezier.errors import NetError
-from mitsuba_bezier.geometry.tensor import evaluate_tensor, tensor_to_triangles
+from mitsuba_bezier.geometry.tensor import evaluate_tensor, revolved, tensor_to_triangles
 
 DEGREES = [(1, 1), (1, 2), (2, 1), (2, 2), (3, 3), (4, 1), (3, 5)]
 
@@ -76,6 +76,36 @@ def test_errors(net):
         tensor_to_triangles(net)
     with pytest.raises(NetError, match="net: expected"):
         evaluate_tensor(net, [0.5, 0.5])
+
+
+@pytest.mark.parametrize("segments", [3, 4, 7])
+def test_revolution(segments):
+    # a rational profile, from the axis on
+    profile = np.array([[0.0, -1, 1], [0.6, -0.5, 0.8], [1, 1, 1]])
+    nets = revolved(profile, segments)
+    assert nets.shape == (segments, 3, 3, 4)
+    t = np.linspace(0, 1, 5)
+    st = np.array([(s, x) for s in (0, 0.3, 0.8, 1) for x in t])
+    basis = np.stack([(1 - t) ** 2, 2 * t * (1 - t), t**2], axis=1)
+    r, z, w = (basis @ profile).T
+    for net in nets:
+        x = evaluate_tensor(net, st)
+        p = (x[:, :3] / x[:, 3:]).reshape(4, 5, 3)
+        # rounding of float64
+        assert np.abs(np.hypot(p[..., 0], p[..., 1]) - r / w).max() < 1e-15
+        assert np.abs(p[..., 2] - z / w).max() < 1e-15
+    # one goes on where the one before ends, and the last where the first begins
+    assert np.abs(nets[:, 2] - np.roll(nets, -1, axis=0)[:, 0]).max() < 1e-15
+    normals = tensor_to_triangles(nets).normals(0, [[1 / 3, 1 / 3]])
+    assert normals[0, 2] < 0  # outwards, below
+
+
+def test_revolution_errors():
+    for profile in (np.zeros((3, 4)), np.zeros((1, 3)), [[0, 0, np.nan], [1, 0, 1]]):
+        with pytest.raises(NetError, match="profile: expected"):
+            revolved(profile)
+    with pytest.raises(NetError, match="segments: expected an integer of at least 3, got 2"):
+        revolved([[1, 0, 1], [1, 1, 1]], 2)
 
 
 def test_evaluation_errors():

@@ -11,8 +11,9 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     store. Every intersection has a closed form. All patches of `quadric_patch` and all planar
     triangles of degree one are of this kind. So are patches of higher degree on an ellipsoid
     whose edges are plane sections: then the rows give the stereographic coordinates of a point,
-    and the net stores two complex polynomials, from which the parameters are found. And so are
-    sectors of cones and disks, with four rows.
+    and the net stores two complex polynomials, from which the parameters are found. So are
+    sectors of cones and disks, with four rows. And so are all other patches on quadrics and in
+    planes, *inverted*: their parameters tell whether a point is on them. They may be cut.
 *graph* leaves
     Everything else, subdivided until the bounds below are small. For them we store the
     quadratic ``a xy + b x(1-x-y) + c y(1-x-y)`` next to ``h`` and

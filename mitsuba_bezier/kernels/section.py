@@ -10,8 +10,7 @@ from typing import Any
 
 import drjit as dr
 
-from ..geometry import bernstein
-from ..geometry import inverted_leaves as inverted
+from ..geometry import bernstein, plane_inverse
 from .arrays import Types, dot3, gather_packets
 from .net import horner, horner_value
 from .quadric_records import MEMBER
@@ -90,7 +89,7 @@ def inverted_parameters(
     a, b = dr.fma(x, scale, -0.5), dr.fma(y, scale, -0.5)
     equations, degree = _equations(s, leaf, a, b, active)
 
-    start = [dr.maximum(inverted.LEAST_START, z) for z in (a + 0.5, b + 0.5, -a - b)]
+    start = [dr.maximum(plane_inverse.LEAST_START, z) for z in (a + 0.5, b + 0.5, -a - b)]
     scale = dr.rcp(start[0] + start[1] + start[2])
     u, v = dr.fma(start[0], scale, -1 / 3), dr.fma(start[1], scale, -1 / 3)
 
@@ -107,13 +106,13 @@ def inverted_parameters(
         area, known = dr.abs(det), dr.maximum(by_u, by_v)
         # the equations are those of the plane times Q, which is one in the middle
         at_hand = dr.maximum(dr.abs(f), dr.abs(g)) < AT_HAND
-        small = size * size * (area + known) < inverted.LAST_STEP**2 * area  # false for NaN
-        too_far = (det <= inverted.LEAST_DROP * before) & ~at_hand
+        small = size * size * (area + known) < plane_inverse.LAST_STEP**2 * area  # false for NaN
+        too_far = (det <= plane_inverse.LEAST_DROP * before) & ~at_hand
         factor = dr.select(at_hand & ~small, 0.0, dr.minimum(1.0, dr.rcp(size)))
         du = dr.select(too_far, -back_u, dr.select(factor > 0.0, factor * du, 0.0))
         dv = dr.select(too_far, -back_v, dr.select(factor > 0.0, factor * dv, 0.0))
-        back_u = dr.select(too_far, back_u + back_u, inverted.BACK * du)
-        back_v = dr.select(too_far, back_v + back_v, inverted.BACK * dv)
+        back_u = dr.select(too_far, back_u + back_u, plane_inverse.BACK * du)
+        back_v = dr.select(too_far, back_v + back_v, plane_inverse.BACK * dv)
         before = dr.select(too_far, before, det)
         step = step + 1
         run = run & (too_far | ~(small | at_hand)) & (step < MOST_STEPS)
