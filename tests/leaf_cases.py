@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,10 @@ from drjit.llvm import Float
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
+from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import Leaves
 from mitsuba_bezier.geometry.reference import first_hit
-from mitsuba_bezier.kernels.structure import build_structure
+from mitsuba_bezier.kernels.structure import Structure, build_structure
 from mitsuba_bezier.kernels.traverse import Hit, intersect
 
 TURN = np.linalg.qr(np.random.default_rng(21).normal(size=(3, 3)))[0]
@@ -84,3 +87,49 @@ def assert_hits_are_those_of_the_reference(
     assert off.max() < 1e-6 * np.linalg.norm(o, axis=1).max()
     found = traced(leaves, o, d, any_hit=True)
     assert (np.array(found.valid) == valid).all()
+
+
+def assert_found_among_others(parts: list[mb.BezierTriangles], others: float = 0.0) -> Structure:
+    """Trace parts under one tree, from near by, and compare with each alone; return the structure.
+
+    Of the hits a share below `others`, or none, may be on another patch.
+    """
+    first = np.cumsum([0, *(len(p) for p in parts)])
+    leaves = [build_leaves(p) for p in parts]
+    leaves = [replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())]
+    structure = build_structure(Leaves.join(leaves), Float)
+    for part, begin in zip(parts, first.tolist()):
+        o, d = rays(part, 3000)
+        # from near by, where nothing else is in front
+        o = (o + d * 0.9).astype(np.float32)
+        d = (0.1 * d).astype(np.float32)
+        alone = traced(build_leaves(part), o, d)
+        hit = intersect(structure, *columns(o, d), Float(2.0))
+        near = np.array(alone.t) < 1.9
+        assert near.mean() > 0.3
+        np.testing.assert_allclose(np.array(hit.t)[near], np.array(alone.t)[near], atol=3e-5)
+        same = np.array(hit.patch)[near] == np.array(alone.patch)[near] + begin
+        assert same.all() or 1 - same.mean() < others
+        for x, y in ((hit.u, alone.u), (hit.v, alone.v)):
+            np.testing.assert_allclose(np.array(x)[near][same], np.array(y)[near][same], atol=1e-4)
+    return structure
+
+
+def rays_to_edges(
+    patches: mb.BezierTriangles, radius: Callable[[np.ndarray], Any], corners: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return origins and targets: from inside of a body of revolution to the edges of patches.
+
+    `radius` is that at a height from 0 to 1. With `corners`, a third of the rays go to these.
+    """
+    rng = np.random.default_rng(3)
+    count = 200_000
+    z = rng.uniform(0.02, 0.98, count)
+    a, r = rng.random(count) * 2 * np.pi, 0.98 * radius(z) * np.sqrt(rng.random(count))
+    o = np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)
+    along = rng.random(count)
+    if corners:
+        along[::3] = np.round(along[::3])
+    uv = np.stack([along, 1 - along, 0 * along], axis=1)
+    uv = uv[np.arange(count)[:, None], (np.arange(3) + rng.integers(0, 3, (count, 1))) % 3]
+    return o, patches.points(rng.integers(0, len(patches), count), uv[:, :2])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -11,10 +10,11 @@ from drjit.llvm import Float
 from leaf_cases import (
     IMAGE,
     MOVE,
+    assert_found_among_others,
     assert_hits_are_those_of_the_reference,
-    columns,
     moved,
     rays,
+    rays_to_edges,
     single,
     traced,
     turned,
@@ -24,12 +24,11 @@ from test_section_leaves import otherwise
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein, inverted_leaves, plane_inverse, shapes
 from mitsuba_bezier.geometry.leaf_builder import build_leaves, rebuild_leaves
-from mitsuba_bezier.geometry.leaves import DEVIATION, LeafSettings, Leaves
+from mitsuba_bezier.geometry.leaves import DEVIATION, LeafSettings
 from mitsuba_bezier.geometry.reference import first_hit
 from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.kernels import quadric_records
 from mitsuba_bezier.kernels.structure import build_structure
-from mitsuba_bezier.kernels.traverse import intersect
 
 H = np.sqrt(0.5)
 LOW, HIGH = [(0, -1, 1), (H, -H, H), (1, 0, 1)], [(1, 0, 1), (H, H, H), (0, 1, 1)]
@@ -165,17 +164,8 @@ def test_nothing_leaks(name, rounded):
         "cylinder": revolution(disk, [(1, 0, 1), (1, 1, 1)], [(1, 1, 1), (0, 1, 1)]),
         "cone": revolution(disk, [(1, 0, 1), (0, 1, 1)]),
     }[name]
-    rng = np.random.default_rng(3)
-    count = 200_000
-    z = rng.uniform(0.02, 0.98, count)
-    wide = {"sphere": np.sqrt(1 - z * z), "cylinder": 1, "cone": 1 - z}[name]
-    a, r = rng.random(count) * 2 * np.pi, 0.98 * wide * np.sqrt(rng.random(count))
-    o = np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)
-    s = rng.random(count)
-    s[::3] = np.round(s[::3])
-    uv = np.stack([s, 1 - s, 0 * s], axis=1)
-    uv = uv[np.arange(count)[:, None], (np.arange(3) + rng.integers(0, 3, (count, 1))) % 3]
-    target = patches.points(rng.integers(0, len(patches), count), uv[:, :2])
+    radius = {"sphere": lambda z: np.sqrt(1 - z * z), "cylinder": np.ones_like}
+    o, target = rays_to_edges(patches, radius.get(name, lambda z: 1 - z), corners=True)
     if rounded:
         patches = single(patches)
         o, target = (x @ MOVE[:3, :3].T + MOVE[:3, 3] for x in (o, target))
@@ -261,28 +251,9 @@ def test_among_others():
         shapes.cone(center=(0, -30, 0), capped=True),
         CONE.transform(np.eye(4) + 40 * np.eye(4)[2][:, None] * np.eye(4)[3]),
     ]
-    first = np.cumsum([0, *(len(p) for p in parts)])
-    leaves = [build_leaves(p) for p in parts]
-    leaves = [replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())]
-    structure = build_structure(Leaves.join(leaves), Float)
+    # a point in the tolerance of an edge may belong to the neighbour
+    structure = assert_found_among_others(parts, others=3e-3)
     assert structure.has_inverted and structure.has_sections and not structure.only_inverted
-    for part, begin in zip(parts, first.tolist()):
-        o, d = rays(part, 3000)
-        # from near by, where nothing else is in front
-        o = (o + d * 0.9).astype(np.float32)
-        d = (0.1 * d).astype(np.float32)
-        alone = traced(build_leaves(part), o, d)
-        hit = intersect(structure, *columns(o, d), Float(2.0))
-        near = np.array(alone.t) < 1.9
-        assert near.mean() > 0.3
-        np.testing.assert_allclose(np.array(hit.t)[near], np.array(alone.t)[near], atol=3e-5)
-        # a point in the tolerance of an edge may belong to the neighbour
-        others = np.array(hit.patch)[near] != np.array(alone.patch)[near] + begin
-        assert others.mean() < 3e-3
-        for x, y in ((hit.u, alone.u), (hit.v, alone.v)):
-            np.testing.assert_allclose(
-                np.array(x)[near][~others], np.array(y)[near][~others], atol=1e-4
-            )
 
 
 def test_one_group_of_two_kinds():

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 import pytest
-from drjit.llvm import Float
 from leaf_cases import (
     IMAGE,
     TURN,
+    assert_found_among_others,
     assert_hits_are_those_of_the_reference,
-    columns,
     moved,
-    rays,
+    rays_to_edges,
     single,
     traced,
     turned,
@@ -23,10 +21,8 @@ from leaf_cases import (
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import shapes
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import SECTION, LeafSettings, Leaves
+from mitsuba_bezier.geometry.leaves import SECTION, LeafSettings
 from mitsuba_bezier.geometry.reference import first_hit
-from mitsuba_bezier.kernels.structure import build_structure
-from mitsuba_bezier.kernels.traverse import intersect
 
 SURFACES = {
     "cone": shapes.cone(),
@@ -95,15 +91,7 @@ def test_lines_beside_those_of_the_cone_meet_its_apex():
 
 def test_nothing_leaks_through_edges():
     capped = shapes.cone(capped=True)
-    rng = np.random.default_rng(3)
-    count = 200_000
-    z = rng.uniform(0.02, 0.98, count)
-    a, r = rng.random(count) * 2 * np.pi, 0.98 * (1 - z) * np.sqrt(rng.random(count))
-    o = np.stack([r * np.cos(a), r * np.sin(a), z], axis=1)
-    s = rng.random(count)
-    uv = np.stack([s, 1 - s, 0 * s], axis=1)
-    uv = uv[np.arange(count)[:, None], (np.arange(3) + rng.integers(0, 3, (count, 1))) % 3]
-    target = capped.points(rng.integers(0, 6, count), uv[:, :2])
+    o, target = rays_to_edges(capped, lambda z: 1 - z)
     o, d = o.astype(np.float32), (target - o).astype(np.float32)
     assert np.array(traced(build_leaves(capped), o, d).valid).all()
 
@@ -117,24 +105,8 @@ def test_among_others():
         mb.torus(center=(0, 40, 0)),
         shapes.disk(center=(0, -30, 0)),
     ]
-    first = np.cumsum([0, *(len(p) for p in parts)])
-    leaves = [build_leaves(p) for p in parts]
-    leaves = [replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())]
-    structure = build_structure(Leaves.join(leaves), Float)
+    structure = assert_found_among_others(parts)
     assert structure.has_cones and structure.has_disks and structure.has_sections
-    for part, begin in zip(parts, first.tolist()):
-        o, d = rays(part, 3000)
-        # from near by, where nothing else is in front
-        o = (o + d * 0.9).astype(np.float32)
-        d = (0.1 * d).astype(np.float32)
-        alone = traced(build_leaves(part), o, d)
-        hit = intersect(structure, *columns(o, d), Float(2.0))
-        near = np.array(alone.t) < 1.9
-        assert near.mean() > 0.3
-        np.testing.assert_allclose(np.array(hit.t)[near], np.array(alone.t)[near], atol=3e-5)
-        assert np.array_equal(np.array(hit.patch)[near], np.array(alone.patch)[near] + begin)
-        for x, y in ((hit.u, alone.u), (hit.v, alone.v)):
-            np.testing.assert_allclose(np.array(x)[near], np.array(y)[near], atol=1e-4)
 
 
 def test_elevated_and_not_quite():

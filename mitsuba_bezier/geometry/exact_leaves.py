@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from . import bernstein
-from .leaves import FORM, FORM_ENTRIES, LEAST, Leaves
-from .quadric_groups import local_nets, quadric_leaves
+from .leaves import LEAST, Leaves
+from .quadric_groups import in_space, local_nets, plane_forms, quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["exact_leaves"]
@@ -34,13 +34,7 @@ def exact_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     keep = np.flatnonzero(found)
     if not len(keep):
         return none, Leaves.empty(k)
-    # back from units of `size` to those of space
-    units = np.ones((len(keep), 4))
-    units[:, :3] /= size[keep, None]
-    rows, forms = rows[keep] * units[:, None], forms[keep] * units[:, None] * units[:, :, None]
-    forms *= size[keep, None, None]  # gradient of order one: f is a length
-    form = np.zeros((len(keep), FORM))
-    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    rows, form = in_space(rows[keep], forms[keep], size[keep])
     form[:, LEAST] = _least_sum(rows, shift[keep], nets[keep], n)
     return found, quadric_leaves(patches, keep, shift[keep], rows, form)
 
@@ -91,10 +85,7 @@ def _planar_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     matrix = np.concatenate([local, plane[:, None]], axis=1).transpose(0, 2, 1)
     matrix = np.where(found[:, None, None], matrix, np.eye(4))
     rows = np.linalg.inv(matrix)[:, :3]
-    forms = np.zeros((len(local), 4, 4))
-    forms[:, :, 3] += plane / 2
-    forms[:, 3, :] += plane / 2
-    return rows, forms, found
+    return rows, plane_forms(plane), found
 
 
 def _least_sum(rows: np.ndarray, shift: np.ndarray, nets: np.ndarray, n: int) -> np.ndarray:

@@ -11,7 +11,16 @@ from . import bernstein
 from .collapsed import collapsed_edge, fan, strips
 from .leaf_bounds import leaf_bounds
 from .leaf_cover import edge_reach
-from .leaves import FORM, INWARD, OUTWARD, LeafSettings, Leaves, pack_bending, round_reach
+from .leaves import (
+    FORM,
+    INWARD,
+    OUTWARD,
+    LeafSettings,
+    Leaves,
+    pack_bending,
+    round_reach,
+    weight_signs,
+)
 from .triangles import BezierTriangles
 
 __all__ = ["subdivide"]
@@ -192,8 +201,7 @@ def _normalise_weights(nets: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray
     Returns the nets, the factors ``m`` with ``u_patch ~ m u_leaf``, and whether the leaf is
     finite: all weights of one sign.
     """
-    w = nets[..., 3]
-    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    sign = weight_signs(nets)
     finite = sign != 0
     nets = nets * np.where(finite, sign, 1.0)[:, None, None]
     corners = nets[:, bernstein.corner_rows(n)]

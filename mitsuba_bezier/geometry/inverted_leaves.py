@@ -24,19 +24,13 @@ import numpy as np
 
 from . import bernstein
 from .degree_reduction import reduce_degree
-from .leaves import (
-    DEVIATION,
-    FORM,
-    FORM_ENTRIES,
-    INVERTED,
-    MARGINS,
-    SECTION,
-    Leaves,
-)
+from .leaves import DEVIATION, FORM_ENTRIES, INVERTED, MARGINS, SECTION, Leaves, weight_signs
 from .plane_inverse import ROUNDING, TRIED, centred, newton_converges
 from .quadric_groups import (
     fit_forms,
+    in_space,
     local_nets,
+    plane_forms,
     quadric_leaves,
     relative_distance,
     with_its_apex,
@@ -119,8 +113,7 @@ def _on_quadrics(patches: BezierTriangles) -> tuple[np.ndarray, ...]:
     local, shift, size, forms : arrays
         Of those found: what `local_nets` says, with positive weights, and the quadrics.
     """
-    w = patches.control_points[..., 3]
-    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    sign = weight_signs(patches.control_points)
     found = (sign != 0) & (patches.degree > 1)
     local, shift, size = local_nets(patches)
     local *= sign[:, None, None]
@@ -148,23 +141,13 @@ def _of_this_degree(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
         return found, Leaves.empty(bernstein.size(n))
     parts = parts.select(whole[parts.owner])
     owner = parts.owner
-    units = np.ones((len(owner), 4))
-    units[:, :3] /= size[owner, None]
-    form = np.zeros((len(owner), FORM))
-    forms = forms[owner] * units[:, None] * units[:, :, None] * size[owner, None, None]
-    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    rows, form = in_space(parts.rows, forms[owner], size[owner])
     form[:, SECTION], form[:, MARGINS] = INVERTED, parts.margins
     # the parts themselves, back in space
     cut = parts.nets.copy()
     cut[..., :3] *= size[owner, None, None]
     cut[..., :3] += cut[..., 3:] * shift[owner, None]
-    leaves = quadric_leaves(
-        BezierTriangles(cut),
-        np.arange(len(owner)),
-        shift[owner],
-        parts.rows * units[:, None],
-        form,
-    )
+    leaves = quadric_leaves(BezierTriangles(cut), np.arange(len(owner)), shift[owner], rows, form)
     leaves.net, leaves.domain = parts.fractions[leaves.patch], parts.domain[leaves.patch]
     leaves.patch = which[owner[leaves.patch]]
     found[which[whole]] = True
@@ -203,10 +186,7 @@ def _fit(local: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     plane = vt[:, 3]
     planar = (s[:, 3] <= _ROUNDING * s[:, 0]) & (s[:, 2] > _DETERMINED * s[:, 0])
     planar &= np.linalg.norm(plane[:, :3], axis=1) > _DETERMINED  # not the plane at infinity
-    flat = np.zeros_like(forms)
-    flat[:, :, 3] += plane / 2
-    flat[:, 3, :] += plane / 2
-    return np.where(planar[:, None, None], flat, forms), fits | planar
+    return np.where(planar[:, None, None], plane_forms(plane), forms), fits | planar
 
 
 def _invert(local: np.ndarray, forms: np.ndarray, n: int) -> tuple[_Parts, np.ndarray]:

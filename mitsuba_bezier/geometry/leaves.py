@@ -63,6 +63,7 @@ __all__ = [
     "pack_bending",
     "round_reach",
     "unpack_bending",
+    "weight_signs",
 ]
 
 
@@ -144,6 +145,12 @@ def round_reach(reach: np.ndarray) -> np.ndarray:
     mantissa, exponent = np.frexp(np.maximum(reach, LEAST_REACH))
     rounded = np.ldexp(np.ceil(mantissa * 16) / 16, exponent)
     return np.where(rounded < LEAST_REACH * 2**16, rounded, np.inf)
+
+
+def weight_signs(nets: np.ndarray) -> np.ndarray:
+    """Return the sign of the weights of nets ``(P, K, 4)``, zero where they have not the same."""
+    w = nets[..., 3]
+    return np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
 
 
 def unpack_bending(packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

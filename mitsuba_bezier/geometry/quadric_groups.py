@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from . import bernstein
-from .leaves import DEVIATION, FORM_ENTRIES, SECTION, Leaves
+from .leaves import DEVIATION, FORM, FORM_ENTRIES, SECTION, Leaves
 from .triangles import BezierTriangles
 
 __all__ = [
     "centre_and_size",
     "fit_forms",
     "grouped",
+    "in_space",
     "local_nets",
+    "plane_forms",
     "quadric_leaves",
     "relative_distance",
     "with_its_apex",
@@ -78,6 +80,33 @@ def centre_and_size(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray]:
     size = (hi - lo).max(axis=1) / 2
     shift = ((lo + hi) / 2).astype(np.float32).astype(np.float64)
     return shift, np.where(size > 0, size, 1.0)
+
+
+def in_space(
+    rows: np.ndarray, forms: np.ndarray, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Take rows and quadrics from units of `size` to those of space.
+
+    Returns
+    -------
+    rows : (L, R, 4) array
+    form : (L, FORM) array
+        With the quadric, of which a gradient of order one makes a length; the rest is zero.
+    """
+    units = np.ones((len(size), 4))
+    units[:, :3] /= size[:, None]
+    forms = forms * units[:, None] * units[:, :, None] * size[:, None, None]
+    form = np.zeros((len(size), FORM))
+    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    return rows * units[:, None], form
+
+
+def plane_forms(planes: np.ndarray) -> np.ndarray:
+    """Return planes ``(P, 4)`` as quadrics ``(P, 4, 4)``: times the plane at infinity."""
+    forms = np.zeros((len(planes), 4, 4))
+    forms[:, :, 3] += planes / 2
+    forms[:, 3, :] += planes / 2
+    return forms
 
 
 def local_nets(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

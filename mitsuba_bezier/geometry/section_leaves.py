@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 
 from . import bernstein
-from .leaves import FORM, FORM_ENTRIES, SECTION, Leaves
-from .quadric_groups import fit_forms, local_nets, quadric_leaves
+from .leaves import FORM_ENTRIES, SECTION, Leaves, weight_signs
+from .quadric_groups import fit_forms, in_space, local_nets, quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["edge_planes", "section_leaves"]
@@ -44,8 +44,7 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     nothing = found, Leaves.empty(bernstein.size(n))
     if n < 3:
         return nothing
-    w = nets[..., 3]
-    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    sign = weight_signs(nets)
     which = np.flatnonzero(sign)
     if not len(which):
         return nothing
@@ -68,13 +67,9 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     if not keep.any():
         return nothing
     which, shift, size = which[keep], shift[keep], size[keep]
-    units = np.ones((len(which), 4))
-    units[:, :3] /= size[:, None]
-    form = np.zeros((len(which), FORM))
-    forms = forms[keep] * units[:, None] * units[:, :, None] * size[:, None, None]
-    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    found_rows, form = in_space(rows[keep], forms[keep], size)
     form[:, SECTION] = 1.0
-    leaves = quadric_leaves(patches, which, shift, rows[keep] * units[:, None], form)
+    leaves = quadric_leaves(patches, which, shift, found_rows, form)
     leaves.net = fractions[keep][np.searchsorted(which, leaves.patch)]
     found[which] = True
     return found, leaves

@@ -23,8 +23,8 @@ from collections.abc import Callable
 import numpy as np
 
 from . import bernstein
-from .leaves import DISK, FORM, FORM_ENTRIES, SECTION, Leaves
-from .quadric_groups import local_nets, quadric_leaves
+from .leaves import DISK, SECTION, Leaves, weight_signs
+from .quadric_groups import in_space, local_nets, quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["cone_planes", "sector_leaves"]
@@ -44,8 +44,7 @@ def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     """Find such patches, with ``A`` in any corner, and return ``(mask, leaves)``."""
     n, nets = patches.degree, patches.control_points
     found = np.zeros(len(nets), dtype=bool)
-    w = nets[..., 3]
-    sign = np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
+    sign = weight_signs(nets)
     if n != 2 or not sign.any():
         return found, Leaves.empty(bernstein.size(n))
     local, shift, size = local_nets(patches)
@@ -66,15 +65,10 @@ def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     which = np.flatnonzero(found)
     if not len(which):
         return found, Leaves.empty(bernstein.size(n))
-    units = np.ones((len(which), 4))
-    units[:, :3] /= size[which, None]
     forms = forms[which] / np.abs(forms[which]).max(axis=(1, 2), keepdims=True)
-    forms *= units[:, None] * units[:, :, None] * size[which, None, None]
-    form = np.zeros((len(which), FORM))
-    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    found_rows, form = in_space(rows[which], forms, size[which])
     form[:, SECTION], form[:, DISK] = mark[which], disk[which]
-    rows = rows[which] * units[:, None]
-    return found, quadric_leaves(patches, which, shift[which], rows, form)
+    return found, quadric_leaves(patches, which, shift[which], found_rows, form)
 
 
 def cone_planes(leaves: Leaves) -> np.ndarray:

@@ -26,8 +26,7 @@ class Roots:
     """Where a ray meets a quadric: pairs, the first root first."""
 
     wanted: list[Any]  #: Bool: whether it is there, and within the ray
-    t: list[Any]  #: Float, ray parameter
-    along: list[Any]  #: Float64, the same from `middle` on
+    along: list[Any]  #: Float64, ray parameter from `middle` on
     point: list[list[Any]]  #: three Float each, from the group's origin
     tolerance: list[Any]  #: Float, how far out of a patch it may be
     middle: list[Any]  #: three Float64, a point of the ray
@@ -126,7 +125,7 @@ def find_members(
 
 
 def find_members_singly(
-    s: Structure, ty: Types, group: Any, first: Any, count: Any, roots: Roots
+    s: Structure, ty: Types, first: Any, count: Any, roots: Roots
 ) -> tuple[Any, Any, Any, Any, Any]:
     """As `find_members`, where parameters tell whether a point is on some of the members.
 
@@ -136,8 +135,6 @@ def find_members_singly(
     """
     table = count >> 5
     count = count & 31
-    if dr.width(s.members) > dr.width(s.rows):
-        first = first + (group + 1) * TABLE
     many = table > 0
     masks = [
         dr.select(many, _possible_members(s, ty, table - 1, point, many & wanted), (1 << count) - 1)

@@ -114,11 +114,13 @@ def group_hit(
     planar = None
     if s.has_cones and s.has_disks:
         planar = sum(dr.abs(a[i]) for i in range(6)) == 0.0
-    roots = Roots(
-        [want1, want2], [t1, t2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd, planar
-    )
-    find = find_members_singly if s.has_inverted else find_members
-    hit, second, leaf, u, v = find(s, ty, group, ty.UInt(g[13]), ty.UInt(g[14]), roots)
+    roots = Roots([want1, want2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd, planar)
+    first, count = ty.UInt(g[13]), ty.UInt(g[14])
+    if s.has_inverted:
+        found = find_members_singly(s, ty, first, count, roots)
+    else:
+        found = find_members(s, ty, group, first, count, roots)
+    hit, second, leaf, u, v = found
     tolerance = dr.select(second, tolerance2, tolerance1)
     u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
     return hit, dr.select(second, t2, t1), u, v, leaf

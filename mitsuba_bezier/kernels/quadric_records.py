@@ -29,9 +29,10 @@ GROUP = 16
 #: Floats in a member of a group: rows of four for its three sides, leaf number as bits, `LEAST`,
 #: `SECTION`.
 MEMBER = 16
-#: Before the members of each group, if one has at least `FEW`, so many records: a table of four
-#: bits for each of 8 x 8 x 8 cells about the group's origin, the member that covers it most likely.
-#: The last float of the group's first member holds the three factors that take lengths to cells.
+#: Before the members of each group, if one has at least `FEW` and no leaf is inverted, so many
+#: records: a table of four bits for each of 8 x 8 x 8 cells about the group's origin, the member
+#: that covers it most likely. The last float of the group's first member holds the three factors
+#: that take lengths to cells.
 TABLE = 4
 FEW = 3
 #: Where parameters tell whether a point is on a member, groups of at least `FEW` have another
@@ -86,6 +87,8 @@ def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.nda
     out[:, 13] = leaves.form[exact, LEAST] / scale
     out[:, 14] = leaves.form[exact, SECTION]
     out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
+    if leaves.are_inverted.any():  # then `cell_records` tells more
+        return out
     return _with_tables(leaves, exact, out)
 
 
@@ -112,14 +115,11 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
     if size.max(initial=0) < FEW:
         return members
     out = np.zeros((len(members) + TABLE * len(first), MEMBER), dtype=np.float32)
-    cells = (np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1) - 3.5) / 4
-    cells = cells.transpose(2, 1, 0, 3).reshape(-1, 3)  # x runs fastest
+    cells = _cells() / 4
     for number, (start, count) in enumerate(zip(first, size)):
         mine = members[start : start + count]
         if count >= FEW:
-            corners = leaves.box[exact[start : start + count]] - leaves.shift[exact[start]]
-            corners = np.where(np.isfinite(corners), np.abs(corners), 0.0)
-            half = np.maximum(corners.max(axis=(0, 1)), 1e-6 * corners.max() + 1e-30)
+            half = _reach(leaves.box[exact[start : start + count]] - leaves.shift[exact[start]])
             # three floats of ten bits: exponent and two of the mantissa, rounded down
             bits = (4 / half).astype(np.float32).view(np.uint32) >> np.uint32(21)
             half = 4 / (bits << np.uint32(21)).view(np.float32)
@@ -155,14 +155,11 @@ def cell_records(leaves: Leaves, exact: np.ndarray, groups: np.ndarray) -> np.nd
     # barycentrics have signs only up to a common factor, and those of disks are no bounds
     bounded = (leaves.are_sections | leaves.are_inverted | leaves.are_cones)[exact]
     box = leaves.box[exact] - leaves.shift[exact][:, None]
-    place = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1) - 3.5
-    place = place.transpose(2, 1, 0, 3).reshape(-1, 3)  # x runs fastest
+    place = _cells()
     out = np.zeros((len(large), CELLS), dtype=np.uint32)
     for number, g in enumerate(large):
         mine = slice(first[g], first[g] + size[g])
-        reach = np.where(np.isfinite(box[mine]), np.abs(box[mine]), 0.0).max(axis=(0, 1))
-        reach = np.maximum(reach, 1e-6 * reach.max() + 1e-30) * (1 + _AROUND / 4)
-        cell = reach / 4
+        cell = _reach(box[mine]) * (1 + _AROUND / 4) / 4
         half = cell * (0.5 + _AROUND)
         centre = place * cell
         may = (centre + half >= box[mine, None, 0]) & (centre - half <= box[mine, None, 1])
@@ -174,6 +171,18 @@ def cell_records(leaves: Leaves, exact: np.ndarray, groups: np.ndarray) -> np.nd
         out[number, :3] = (1 / cell).astype(np.float32).view(np.uint32)
         out[number, 8:] = bits[::2] | (bits[1::2] << np.uint32(16))
     return out.view(np.float32)
+
+
+def _cells() -> np.ndarray:
+    """Return the middles ``(512, 3)`` of a table's cells, in cells; x runs fastest."""
+    place = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1) - 3.5
+    return place.transpose(2, 1, 0, 3).reshape(-1, 3)
+
+
+def _reach(boxes: np.ndarray) -> np.ndarray:
+    """Return how far boxes ``(M, 2, 3)`` reach from the origin, along each axis; never zero."""
+    reach = np.where(np.isfinite(boxes), np.abs(boxes), 0.0).max(axis=(0, 1))
+    return np.maximum(reach, 1e-6 * reach.max() + 1e-30)
 
 
 def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
