@@ -11,7 +11,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import SECTION, Leaves
-from mitsuba_bezier.geometry.section_leaves import edge_planes
+from mitsuba_bezier.geometry.section_leaves import edge_planes, shared_map
 from mitsuba_bezier.kernels import members, quadric_records, structure
 from mitsuba_bezier.kernels.traverse import intersect
 
@@ -39,6 +39,15 @@ OCTANTS = {
     "elevated": (mb.sphere(cover="octants").elevate(2), 2),
     "degree 8": (otherwise(mb.sphere(cover="octants")), 4),
 }
+#: Not all congruent, so that each leaf has polynomials of its own.
+BOTH = mb.BezierTriangles(
+    np.concatenate(
+        [
+            mb.sphere(cover="octants").elevate(4).control_points,
+            OCTANTS["degree 8"][0].control_points[::3] * [0.5, 0.5, 0.5, 1],
+        ]
+    )
+)
 
 
 def rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -91,9 +100,45 @@ def test_planes_are_those_of_the_edges(kind):
             assert np.abs(x @ plane[:3] + plane[3] - ([0.0] * 9 + [1.0])).max() < 1e-10
 
 
+@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
 @pytest.mark.parametrize("kind", OCTANTS)
-def test_parameters_belong_to_the_hit(kind):
+def test_congruent_patches_share_a_map(kind, single):
     patches = turned(OCTANTS[kind][0])
+    if single:  # as nets come through Mitsuba's tensors
+        patches = mb.BezierTriangles(patches.control_points.astype(np.float32).astype(float))
+    leaves = build_leaves(patches)
+    shared = shared_map(leaves)
+    assert shared is not None
+    matrix, net = shared
+    # from a point's three sides to its parameters' powers
+    uv = np.random.default_rng(3).dirichlet(np.ones(3), 50)[:, :2]
+    powers = bernstein.multi_indices(patches.degree)[:, :2]
+    terms = np.prod((uv[:, None] - 1 / 3) ** powers, axis=2)
+    p, q = ((terms @ net).reshape(-1, 2, 2) @ [1, 1j]).T
+    for leaf, patch in enumerate(leaves.patch):
+        x = patches.points(np.full(50, patch), uv) - leaves.shift[leaf]
+        sides = np.pad(x, ((0, 0), (0, 1)), constant_values=1.0) @ edge_planes(leaves)[leaf].T
+        value = np.pad(sides, ((0, 0), (0, 1)), constant_values=1.0) @ matrix.T
+        value /= value.sum(axis=1, keepdims=True)
+        off = np.abs(value[:, 0] + 1j * value[:, 1] - 0.5 - 0.5j - p / q).max()
+        # what is shared may be off by 1e-6 in parameters, which are as long; or nothing
+        assert off < (1e-6 if single else 1e-11)
+
+
+def test_others_do_not():
+    assert shared_map(build_leaves(BOTH)) is None
+    built = structure.build_structure(build_leaves(BOTH), llvm.Float)
+    assert built.has_sections and built.shared_section is None
+    octants = build_leaves(mb.sphere(cover="octants"))
+    assert structure.build_structure(octants, llvm.Float).shared_section is not None
+    others = [mb.sphere(cover="octants"), mb.sphere(cover="lunes").elevate(2)]
+    mixed = mb.BezierTriangles(np.concatenate([x.control_points for x in others]))
+    assert structure.build_structure(build_leaves(mixed), llvm.Float).shared_section is None
+
+
+@pytest.mark.parametrize("kind", [*OCTANTS, "both"])
+def test_parameters_belong_to_the_hit(kind):
+    patches = turned(BOTH if kind == "both" else OCTANTS[kind][0])
     o, d = rays(50_000, 4)
     valid, _t, patch, uv = hits(build_leaves(patches), o, d)
     assert valid.sum() > 10_000

@@ -20,7 +20,7 @@ from .leaves import FORM_ENTRIES, SECTION, Leaves, weight_signs
 from .quadric_groups import fit_forms, in_space, local_nets, quadric_leaves
 from .triangles import BezierTriangles
 
-__all__ = ["edge_planes", "section_leaves"]
+__all__ = ["edge_planes", "section_leaves", "shared_map"]
 
 #: Residuals up to this are rounding: nets come through Mitsuba's float32 tensors (6e-8).
 _ROUNDING = 3e-7
@@ -31,6 +31,9 @@ _MIDDLE = 0.5 + 0.5j
 #: Newton steps after which the parameters must be found, and how well: nets in float32.
 _STEPS = 8
 _OFF = 1e-5
+#: Parameters by a map that leaves share may be off by this, ten roundings of float32: what nets in
+#: float32 that differ by a rotation are.
+_SAME = 1e-6
 
 
 def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
@@ -78,15 +81,54 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
 def edge_planes(leaves: Leaves) -> np.ndarray:
     """Return planes ``(L, 3, 4)``, as rows on ``(p - shift, 1)``, of the edges of such leaves.
 
-    They are 0 on an edge and 1 in the opposite corner. Each goes through three points, which
-    the inverse of the projection finds: those with the wanted coordinates are on a line through
-    the centre of projection, and that is on the quadric.
+    They are 0 on an edge and 1 in the opposite corner. Each goes through three points.
     """
-    degree = bernstein.degree_of(leaves.net.shape[1])
-    a, b = bernstein.multi_indices(degree)[:, :2].T
-    corners_and_middles = np.array([(2, 0), (0, 2), (0, 0), (0, 1), (1, 0), (1, 1)]) / 2 - 1 / 3
-    u, v = corners_and_middles[:, :1], corners_and_middles[:, 1:]
-    value = (u**a * v**b) @ leaves.net
+    corners_and_middles = np.array([(2, 0), (0, 2), (0, 0), (0, 1), (1, 0), (1, 1)]) / 2
+    points = _points(leaves, corners_and_middles - 1 / 3)
+    planes = np.empty((len(leaves), 3, 4))
+    for corner, edge in enumerate(((1, 2, 3), (0, 2, 4), (0, 1, 5))):
+        _u, _s, vt = np.linalg.svd(points[:, edge])
+        value = np.einsum("lc,lc->l", vt[:, 3], points[:, corner])
+        planes[:, corner] = vt[:, 3] / value[:, None]
+    return planes
+
+
+def shared_map(leaves: Leaves) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return what finds the parameters of points on all such leaves alike, if they are congruent.
+
+    Octants of one sphere are, and of its affine images: what `_projections` makes of a patch does
+    not depend on its place, but for rounding.
+
+    Returns
+    -------
+    matrix : (3, 4) array
+        Takes the three values of `edge_planes` of a point, and one, to those of the leaf's rows.
+    net : (K, 4) array
+        P and Q.
+    """
+    sides = np.zeros((len(leaves), 4, 4))
+    sides[:, :3], sides[:, 3, 3] = edge_planes(leaves), 1.0
+    matrix = leaves.frame[:, :3] @ np.linalg.inv(sides)
+    matrix /= np.abs(matrix).max(axis=(1, 2), keepdims=True)
+    matrix, net = matrix.mean(axis=0), leaves.net.mean(axis=0)
+    uv = bernstein.multi_indices(12)[:, :2] / 12 - 1 / 3
+    value = np.einsum("kj,lij,lsi->lsk", matrix, sides.transpose(0, 2, 1), _points(leaves, uv))
+    total = value.sum(axis=2)
+    equation = _equation((value[..., 0] + 1j * value[..., 1]) / total - _MIDDLE, net[None])
+    du, dv = _newton(equation, bernstein.degree_of(len(net)), *uv.T)
+    same = np.maximum(np.abs(du), np.abs(dv)).max() <= _SAME
+    return (matrix, net) if same else None
+
+
+def _points(leaves: Leaves, uv: np.ndarray) -> np.ndarray:
+    """Return points ``(L, S, 4)``, with last coordinate one, from the leaves' shifts on.
+
+    Of parameters ``(S, 2)`` from the middle on. The inverse of the projection finds them: those
+    with the coordinates of a point are on a line through the centre of projection, and that is on
+    the quadric.
+    """
+    a, b = bernstein.multi_indices(bernstein.degree_of(leaves.net.shape[1]))[:, :2].T
+    value = (uv[:, :1] ** a * uv[:, 1:] ** b) @ leaves.net
     z = (value[..., 0] + 1j * value[..., 1]) / (value[..., 2] + 1j * value[..., 3])
     z += _MIDDLE
     goal = np.stack([z.real, z.imag, 1.0 - z.real - z.imag], axis=-1)
@@ -99,13 +141,7 @@ def edge_planes(leaves: Leaves) -> np.ndarray:
     square = np.einsum("lsa,lab,lsb->ls", near, forms, near)
     slope = 2 * np.einsum("lsa,lab,lb->ls", near, forms, centre)
     points = near - (square / slope)[..., None] * centre[:, None]
-    points /= points[..., 3:]
-    planes = np.empty((len(leaves), 3, 4))
-    for corner, edge in enumerate(((1, 2, 3), (0, 2, 4), (0, 1, 5))):
-        _u, _s, vt = np.linalg.svd(points[:, edge])
-        value = np.einsum("lc,lc->l", vt[:, 3], points[:, corner])
-        planes[:, corner] = vt[:, 3] / value[:, None]
-    return planes
+    return points / points[..., 3:]
 
 
 def _edge(n: int, corner: int) -> np.ndarray:
@@ -193,6 +229,7 @@ def _projections(local: np.ndarray, forms: np.ndarray, n: int) -> np.ndarray:
     # the two directions across the pole
     _u, _s, frame = np.linalg.svd(pole[:, None])
     x, y, pole = frame[:, 1], frame[:, 2], pole / np.linalg.norm(pole, axis=1, keepdims=True)
+    x, y = _turned(x, y, sphere[:, bernstein.corner_rows(2 * n)])
     rows = np.stack([np.einsum("pi,pij->pj", v, to_sphere) for v in (x, y, pole)], axis=1)
     rows[:, 2, 3] += 1.0
     value = np.einsum("prj,psj->prs", rows, points)
@@ -200,6 +237,20 @@ def _projections(local: np.ndarray, forms: np.ndarray, n: int) -> np.ndarray:
     rows[:, :2] = rows[:, 2:] / 2 + rows[:, :2] * (0.45 / reach)[:, None, None]
     rows[:, 2] -= rows[:, 0] + rows[:, 1]
     return rows
+
+
+def _turned(x: np.ndarray, y: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn directions, so that a patch's corners are where those of a congruent one are.
+
+    The first is ahead of the others along `x`, the second comes before the third about the pole.
+    """
+    c = np.einsum("pkj,pj->pk", corners, x) + 1j * np.einsum("pkj,pj->pk", corners, y)
+    c -= c.mean(axis=1, keepdims=True)
+    turns_left = ((c[:, 1] - c[:, 0]).conj() * (c[:, 2] - c[:, 0])).imag > 0
+    first = np.where(turns_left, c[:, 0], c[:, 0].conj())
+    y = np.where(turns_left[:, None], y, -y)
+    cos, sin = (part[:, None] / np.abs(first)[:, None] for part in (first.real, first.imag))
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def _complex(rows: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -228,7 +279,7 @@ def _fractions(local: np.ndarray, rows: np.ndarray, n: int) -> tuple[np.ndarray,
         good = s[:, -1] <= _ROUNDING * s[:, 0]
         k = bernstein.size(degree)
         pair = vh[good, -1].conj().reshape(-1, 2, k)
-        pair = pair / np.abs(pair).max(axis=(1, 2), keepdims=True)
+        pair = pair / pair[:, 1:, -1:]  # Q is one in the middle
         places = np.array([bernstein.row(n, i, j) for i, j in zip(a.tolist(), b.tolist())])
         parts = np.stack([pair.real, pair.imag], axis=2).reshape(-1, 4, k)
         out[np.ix_(left[good], places)] = parts.transpose(0, 2, 1)
@@ -243,19 +294,29 @@ def _newton_converges(
     lattice = bernstein.multi_indices(12)[:, :2] / 12.0
     goal = lattice - 1 / 3
     z, d = _complex(rows, bernstein.basis(n, lattice) @ local)
-    p, q = (fractions[..., k] + 1j * fractions[..., k + 1] for k in (0, 2))
-    equation = p[:, None] - (z / d)[..., None] * q[:, None]
-    a, b = bernstein.multi_indices(n)[:, :2].T
-    used = np.flatnonzero(fractions.any(axis=(0, 2)))
+    equation = _equation(z / d, fractions)
     u, v = np.zeros((2, *z.shape))
     with np.errstate(all="ignore"):
         for _ in range(_STEPS):
-            f, fu, fv = np.zeros((3, *z.shape), dtype=complex)
-            for k in used:
-                f += equation[..., k] * (u ** a[k] * v ** b[k])
-                fu += equation[..., k] * (a[k] * u ** max(a[k] - 1, 0) * v ** b[k])
-                fv += equation[..., k] * (b[k] * u ** a[k] * v ** max(b[k] - 1, 0))
-            det = (fu.conj() * fv).imag
-            u, v = u - (f.conj() * fv).imag / det, v - (fu.conj() * f).imag / det
+            du, dv = _newton(equation, n, u, v)
+            u, v = u + du, v + dv
         off = np.maximum(np.abs(u - goal[:, 0]), np.abs(v - goal[:, 1])).max(axis=1)
     return off < _OFF
+
+
+def _equation(z: np.ndarray, net: np.ndarray) -> np.ndarray:
+    """Return ``P - z Q``, ``(L, S, K)``, for `z` ``(L, S)`` and nets ``(L, K, 4)``."""
+    p, q = (net[..., k] + 1j * net[..., k + 1] for k in (0, 2))
+    return p[:, None] - z[..., None] * q[:, None]
+
+
+def _newton(equation: np.ndarray, n: int, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the steps of Newton's method for equations of degree `n` at ``u, v``."""
+    a, b = bernstein.multi_indices(n)[:, :2].T
+    f, fu, fv = np.zeros((3, *equation.shape[:2]), dtype=complex)
+    for k in np.flatnonzero(equation.any(axis=(0, 1))):
+        f += equation[..., k] * (u ** a[k] * v ** b[k])
+        fu += equation[..., k] * (a[k] * u ** max(a[k] - 1, 0) * v ** b[k])
+        fv += equation[..., k] * (b[k] * u ** a[k] * v ** max(b[k] - 1, 0))
+    det = (fu.conj() * fv).imag
+    return -(f.conj() * fv).imag / det, -(fu.conj() * f).imag / det

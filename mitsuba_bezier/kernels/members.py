@@ -95,7 +95,7 @@ def find_members(
     def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
         return _barycentrics(s, ty, leaf, roots.exactly(along), roots.planar, active)
 
-    def body(run, k, following, hit1, hit2, leaf1, leaf2):
+    def body(run, k, following, hit1, hit2, leaf1, leaf2, sides):
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
         # a plane is met once
@@ -108,19 +108,31 @@ def find_members(
             in2 = in2 & kept(*parameters(leaf, roots.along[1], in2), in2)
         hit1, hit2 = hit1 | in1, hit2 | in2
         leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
+        if s.shared_section:
+            at1, at2 = (_values(m, p) for p in roots.point)
+            sides = [
+                dr.select(in1, x1, dr.select(in2, x2, x)) for x1, x2, x in zip(at1, at2, sides)
+            ]
         run = run & (following < last) & ~hit1 & (want1 | ~hit2)
-        return run, following, following + 1, hit1, hit2, leaf1, leaf2
+        return run, following, following + 1, hit1, hit2, leaf1, leaf2, sides
 
     none, no = dr.zeros(ty.UInt), ty.Bool(False)
-    _run, _k, _following, hit1, hit2, leaf1, leaf2 = dr.while_loop(
-        (want1 | want2, k, following, no, no, none, none),
+    # what `shared_section` asks for: the values of the sides at the hit
+    sides = [dr.zeros(ty.Float)] * 3 if s.shared_section else []
+    _run, _k, _following, hit1, hit2, leaf1, leaf2, sides = dr.while_loop(
+        (want1 | want2, k, following, no, no, none, none, sides),
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "member", "following", "hit1", "hit2", "leaf1", "leaf2"),
+        labels=("run", "member", "following", "hit1", "hit2", "leaf1", "leaf2", "sides"),
         label="bezier group members",
     )
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
-    u, v = parameters(leaf, dr.select(hit1, *roots.along), hit)
+    if s.shared_section:
+        x, y, rest = _values(s.shared_section, sides)
+        scale = dr.rcp(x + y + rest)
+        u, v = x * scale, y * scale
+    else:
+        u, v = parameters(leaf, dr.select(hit1, *roots.along), hit)
     return hit, ~hit1, leaf, u, v
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ..geometry import bernstein
 from ..geometry.inverted_leaves import margin_planes
 from ..geometry.leaves import DEVIATION, DISK, FORM_ENTRIES, LEAST, SECTION, Leaves
-from ..geometry.section_leaves import edge_planes
+from ..geometry.section_leaves import edge_planes, shared_map
 from ..geometry.sector_leaves import cone_planes
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "member_records",
     "ranges",
     "section_records",
+    "shared_section",
 ]
 
 #: Float64 in a group: quadric 10, shift 3, first member, number of members, `DEVIATION`.
@@ -79,10 +80,7 @@ def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.nda
     """Return the records of members, with tables, for `exact` leaves numbered from `first_leaf`."""
     out = np.zeros((len(exact), MEMBER), dtype=np.float32)
     rows = _sides(leaves, exact)
-    # scaled to what the rows give at the patch, so that an error of float32 has one size
-    reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)[:, None]
-    scale = np.linalg.norm(rows[..., :3], axis=(1, 2)) * reach[:, 0]
-    scale = scale + np.linalg.norm(rows[..., 3], axis=1)
+    scale = _scale(leaves, exact, rows)
     out[:, :12] = (rows / scale[:, None, None]).reshape(-1, 12)
     out[:, 13] = leaves.form[exact, LEAST] / scale
     out[:, 14] = leaves.form[exact, SECTION]
@@ -90,6 +88,16 @@ def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.nda
     if leaves.are_inverted.any():  # then `cell_records` tells more
         return out
     return _with_tables(leaves, exact, out)
+
+
+def _scale(leaves: Leaves, exact: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Return what `sides` give at the leaves, so that an error of float32 has one size."""
+    reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)
+    scale = np.linalg.norm(sides[..., :3], axis=(1, 2)) * reach
+    scale += np.linalg.norm(sides[..., 3], axis=1)
+    section = leaves.are_sections[exact]
+    scale[section] = scale[section].max(initial=0.0)  # all alike, for `shared_section`
+    return scale
 
 
 def _sides(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
@@ -204,11 +212,31 @@ def section_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     """Return the polynomials of exact leaves; nothing if none has any."""
     if not (leaves.are_sections | leaves.are_inverted)[exact].any():
         return np.zeros((0, 8), dtype=np.float32)
-    nets = leaves.net[exact]
+    return _polynomials(leaves.net[exact])
+
+
+def _polynomials(nets: np.ndarray) -> np.ndarray:
+    """Return records of nets, of the degree that is needed."""
     powers = bernstein.multi_indices(bernstein.degree_of(nets.shape[1]))[:, :2]
     degree = int(powers[nets.any(axis=(0, 2))].sum(axis=1).max())
-    kept = nets[:, powers.sum(axis=1) <= degree].reshape(len(exact), -1)
+    kept = nets[:, powers.sum(axis=1) <= degree].reshape(len(nets), -1)
     return np.pad(kept, ((0, 0), (0, -kept.shape[1] % 8))).astype(np.float32)
+
+
+def shared_section(leaves: Leaves, exact: np.ndarray) -> list[float] | None:
+    """Return what finds the parameters on all exact leaves alike, if they are congruent sections.
+
+    That is the matrix of `section_leaves.shared_map`, from the sides as members have them, row by
+    row, and the record of `section_records`.
+    """
+    if not len(exact) or not leaves.are_sections[exact].all():
+        return None
+    shared = shared_map(leaves.select(exact))
+    if shared is None:
+        return None
+    matrix, net = shared
+    matrix[:, :3] *= _scale(leaves, exact, _sides(leaves, exact))[0]
+    return [*matrix.reshape(-1).tolist(), *_polynomials(net[None])[0].tolist()]
 
 
 def _half_size(box: np.ndarray) -> np.ndarray:

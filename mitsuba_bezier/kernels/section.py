@@ -44,9 +44,7 @@ def section_parameters(
     equations, degree = _equations(s, leaf, x - 0.5, y - 0.5, active)
 
     def body(run, step, u, v):
-        (f, g), (fu, gu), (fv, gv) = horner(equations, degree, u, v)
-        inv = dr.rcp(dr.fma(fu, gv, -fv * gu))
-        du, dv = dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv
+        du, dv = _newton(*horner(equations, degree, u, v))
         size = dr.maximum(dr.abs(du), dr.abs(dv))
         usable = size < 1.0  # false for NaN
         u, v = dr.select(usable, u + du, u), dr.select(usable, v + dv, v)
@@ -54,14 +52,24 @@ def section_parameters(
         run = run & usable & (size > LAST_STEP) & (step < MAX_STEPS)
         return run, step, u, v
 
+    # the first step, from the middle, where all powers are zero
+    rows = (bernstein.row(degree, *powers) for powers in ((0, 0), (1, 0), (0, 1)))
+    u, v = _newton(*(equations[2 * k : 2 * k + 2] for k in rows))
     _run, _step, u, v = dr.while_loop(
-        (active, ty.UInt(0), dr.zeros(ty.Float), dr.zeros(ty.Float)),
+        (active, ty.UInt(1), u, v),
         cond=lambda *st: st[0],
         body=body,
         labels=("run", "step", "u", "v"),
         label="bezier section",
     )
     return dr.select(active, u + 1 / 3, x), dr.select(active, v + 1 / 3, y)
+
+
+def _newton(value: list[Any], by_u: list[Any], by_v: list[Any]) -> tuple[Any, Any]:
+    """Return the step to where the linear parts of two equations vanish."""
+    (f, g), (fu, gu), (fv, gv) = value, by_u, by_v
+    inv = dr.rcp(dr.fma(fu, gv, -fv * gu))
+    return dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv
 
 
 def inverted_parameters(
@@ -151,7 +159,11 @@ def inverted_parameters(
 def _equations(s: Structure, leaf: Any, a: Any, b: Any, active: Any) -> tuple[list[Any], int]:
     """Return the coefficients of the real and imaginary part of ``P - (a + i b) Q``."""
     degree = _degree(s)
-    net = gather_packets(s.planes, leaf - s.first_group, bernstein.size(degree) * 4, active)
+    net = (
+        s.shared_section[12:]
+        if s.shared_section
+        else gather_packets(s.planes, leaf - s.first_group, bernstein.size(degree) * 4, active)
+    )
     equations: list[Any] = []
     for k in range(bernstein.size(degree)):
         p_re, p_im, q_re, q_im = net[4 * k : 4 * k + 4]

@@ -20,6 +20,7 @@ from .quadric_records import (
     member_records,
     ranges,
     section_records,
+    shared_section,
 )
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class Structure:
     groups: Any  #: Float64, x `GROUP`
     #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
     only_group: list[Any] | None
+    #: see `quadric_records.shared_section`: data of the kernel, too, if not None
+    shared_section: list[Any] | None
     members: Any  #: Float32, x `MEMBER`
     cells: Any  #: Float32, x `CELLS`: of groups with a member for which `has_inverted`
     #: Float64, x `MEMBER`: the rows of each member, unscaled; in place of the fourth the three
@@ -93,6 +96,7 @@ class Structure:
             self.has_affine,
             self.has_projective,
             self.has_groups,
+            self.shared_section is not None,
             self.has_inverted,
             self.only_inverted,
             self.has_apexes,
@@ -185,6 +189,7 @@ def build_structure(
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
     arrays["cells"] = cell_records(leaves, exact, arrays["groups"])
+    shared = shared_section(leaves, exact)
     only = None
     if len(group_first) == 1:
         only = [dr.opaque(ty.Float64, float(x)) for x in arrays["groups"][0]]
@@ -195,6 +200,7 @@ def build_structure(
         },
         nodes=nodes,
         only_group=only,
+        shared_section=shared and [dr.opaque(ty.Float, x) for x in shared],
         first_projective=dr.opaque(ty.UInt, len(affine)),
         first_group=dr.opaque(ty.UInt, len(graph)),
         degree=bernstein.degree_of(leaves.net.shape[1]),
