@@ -20,6 +20,9 @@ __all__ = ["Roots", "find_members", "find_members_singly"]
 #: small, at the centre of projection (the tip of a lune).
 ROWS = 2e-7
 
+#: Sums of sides, in their own scale, of which a rounding of float32 is 1e-6 at most.
+ENOUGH = 0.1
+
 
 @dataclass
 class Roots:
@@ -108,7 +111,7 @@ def find_members(
             in2 = in2 & kept(*parameters(leaf, roots.along[1], in2), in2)
         hit1, hit2 = hit1 | in1, hit2 | in2
         leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
-        if s.shared_section:
+        if s.by_sides:
             at1, at2 = (_values(m, p) for p in roots.point)
             sides = [
                 dr.select(in1, x1, dr.select(in2, x2, x)) for x1, x2, x in zip(at1, at2, sides)
@@ -117,8 +120,7 @@ def find_members(
         return run, following, following + 1, hit1, hit2, leaf1, leaf2, sides
 
     none, no = dr.zeros(ty.UInt), ty.Bool(False)
-    # what `shared_section` asks for: the values of the sides at the hit
-    sides = [dr.zeros(ty.Float)] * 3 if s.shared_section else []
+    sides = [dr.zeros(ty.Float)] * 3 if s.by_sides else []  # their values at the hit
     _run, _k, _following, hit1, hit2, leaf1, leaf2, sides = dr.while_loop(
         (want1 | want2, k, following, no, no, none, none, sides),
         cond=lambda *st: st[0],
@@ -127,12 +129,22 @@ def find_members(
         label="bezier group members",
     )
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
-    if s.shared_section:
-        x, y, rest = _values(s.shared_section, sides)
-        scale = dr.rcp(x + y + rest)
-        u, v = x * scale, y * scale
-    else:
-        u, v = parameters(leaf, dr.select(hit1, *roots.along), hit)
+    along = dr.select(hit1, *roots.along)
+    if not s.by_sides:
+        return hit, ~hit1, leaf, *parameters(leaf, along, hit)
+    x, y, rest = _values(s.shared_section, sides) if s.shared_section else sides
+    total = x + y + rest
+    scale = dr.rcp(total)
+    u, v = x * scale, y * scale
+    if not s.shared_section:  # little is left of the sides near the tip of a lune
+        small = hit & (dr.abs(total) < ENOUGH)
+        u, v = dr.if_stmt(
+            args=(leaf, along, u, v),
+            cond=small,
+            true_fn=lambda leaf, along, _u, _v: parameters(leaf, along, small),
+            false_fn=lambda _leaf, _along, u, v: (u, v),
+            label="bezier near a tip",
+        )
     return hit, ~hit1, leaf, u, v
 
 

@@ -79,6 +79,8 @@ class Structure:
     affine_count: int
     graph_count: int  #: affine and projective
     group_count: int
+    #: whether what the sides of a member are at a hit tells its parameters, mostly
+    by_sides: bool
     has_sections: bool  #: whether parameters of some exact leaves take an iteration
     has_inverted: bool  #: ... and to tell whether a point is on them at all
     only_inverted: bool  #: ... as on all exact leaves
@@ -97,6 +99,7 @@ class Structure:
             self.has_projective,
             self.has_groups,
             self.shared_section is not None,
+            self.by_sides,
             self.has_inverted,
             self.only_inverted,
             self.has_apexes,
@@ -189,7 +192,8 @@ def build_structure(
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
     arrays["cells"] = cell_records(leaves, exact, arrays["groups"])
-    shared = shared_section(leaves, exact)
+    single = ty.Float is ty.Float32  # as members are
+    shared = shared_section(leaves, exact) if single else None
     only = None
     if len(group_first) == 1:
         only = [dr.opaque(ty.Float64, float(x)) for x in arrays["groups"][0]]
@@ -209,6 +213,8 @@ def build_structure(
         graph_count=len(graph),
         group_count=len(group_first),
         has_sections=bool(leaves.are_sections.any()),
+        by_sides=shared is not None
+        or (single and trims is None and not leaves.form[exact, SECTION].any()),
         has_inverted=bool(leaves.are_inverted.any()),
         only_inverted=len(exact) > 0 and bool(leaves.are_inverted[exact].all()),
         has_apexes=bool((leaves.are_cones | _have_sides(leaves)).any()),
