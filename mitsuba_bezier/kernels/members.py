@@ -132,20 +132,28 @@ def find_members(
     along = dr.select(hit1, *roots.along)
     if not s.by_sides:
         return hit, ~hit1, leaf, *parameters(leaf, along, hit)
+    u, v = _from_sides(s, sides, leaf, along, hit, parameters)
+    return hit, ~hit1, leaf, u, v
+
+
+def _from_sides(
+    s: Structure, sides: list[Any], leaf: Any, along: Any, hit: Any, parameters: Any
+) -> tuple[Any, Any]:
+    """Return the parameters of hits from the values of their sides, what else finds them if not."""
     x, y, rest = _values(s.shared_section, sides) if s.shared_section else sides
-    total = x + y + rest
+    total = dr.select(hit, x + y + rest, 1.0)
     scale = dr.rcp(total)
     u, v = x * scale, y * scale
-    if not s.shared_section:  # little is left of the sides near the tip of a lune
-        small = hit & (dr.abs(total) < ENOUGH)
-        u, v = dr.if_stmt(
-            args=(leaf, along, u, v),
-            cond=small,
-            true_fn=lambda leaf, along, _u, _v: parameters(leaf, along, small),
-            false_fn=lambda _leaf, _along, u, v: (u, v),
-            label="bezier near a tip",
-        )
-    return hit, ~hit1, leaf, u, v
+    if s.shared_section:
+        return u, v
+    small = dr.abs(total) < ENOUGH  # as near the tip of a lune
+    return dr.if_stmt(
+        args=(leaf, along, u, v),
+        cond=small,
+        true_fn=lambda leaf, along, _u, _v: parameters(leaf, along, small),
+        false_fn=lambda _leaf, _along, u, v: (u, v),
+        label="bezier near a tip",
+    )
 
 
 def find_members_singly(
