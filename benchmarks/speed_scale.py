@@ -13,7 +13,7 @@ import numpy as np
 from common import Options, camera_rays, random_rays, time_in_turns, to_rays
 from speed_rays import query_of
 from speed_report import Section, judged, short
-from speed_surfaces import bezier_shape, height_field, patches_of
+from speed_surfaces import balls, bezier_shape, height_field, patches_of
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
@@ -85,6 +85,7 @@ def measure(options: Options) -> list[dict[str, Any]]:
         "sphere, tetrahedral": patches_of("sphere, tetrahedral"),
         "sphere, octants": patches_of("sphere, octants"),
         **{f"height field, {n}": height_field(n) for n in options.patches},
+        **{f"balls, {n}": balls(n) for n in options.patches[-2:]},
     }
     rays = {
         "coherent": to_rays(*camera_rays(side)),
@@ -142,11 +143,12 @@ def _update(shape: Any) -> dict[str, dict[str, float]]:
 
 def sections(data: list[dict[str, Any]]) -> list[Section]:
     """Return the table for people."""
-    limits = {"sphere, tetrahedral": 0.05, "sphere, octants": 0.05, "height field, 100000": 20.0}
+    limits = {"sphere, tetrahedral": 0.05, "sphere, octants": 0.05}
+    limits |= {"height field, 100000": 20.0, "balls, 100000": 20.0}
     rows = []
     for r in data:
         parts, limit = r["parts"], limits.get(r["surface"])
-        bytes_limit = 200 if r["patches"] >= 100_000 else None
+        bytes_limit = 200 if r["surface"] == "height field, 100000" else None
         rows.append(
             [
                 r["surface"],

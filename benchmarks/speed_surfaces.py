@@ -20,6 +20,7 @@ from mitsuba_bezier.plugins.scene_data import data_for_scene, data_for_shapes
 __all__ = [
     "BEZIER",
     "Surface",
+    "balls",
     "bezier",
     "bezier_shape",
     "height_field",
@@ -97,6 +98,23 @@ def switch_off(data: Any) -> None:
     (shape,) = data.shapes
     general = build_leaves(shape.patches, LeafSettings(closed_form=False))
     data.structure = build_structure(general, mi.Float)
+
+
+def balls(count: int, seed: int = 0) -> mb.BezierTriangles:
+    """Return spheres of ten quadratic patches each, at random in the cube [-1, 1]^3, all alike.
+
+    Parameters
+    ----------
+    count : int
+        Number of patches.
+    """
+    spheres = max(1, count // 10)
+    net = mb.sphere(cover="tetrahedral").control_points
+    nets = np.tile(net, (spheres, 1, 1, 1))
+    nets[..., :3] *= 0.4 * spheres ** (-1 / 3)
+    centre = np.random.default_rng(seed).uniform(-1, 1, (spheres, 1, 1, 3))
+    nets[..., :3] += nets[..., 3:] * centre
+    return mb.BezierTriangles(nets.reshape(-1, *net.shape[1:]))
 
 
 def height_field(count: int, noise: float = 0.05, seed: int = 0) -> mb.BezierTriangles:

@@ -158,8 +158,8 @@ def test_render(trial):
 def test_scale(trial):
     rows = trial[0]["tables"]["scale"]
     names = ["sphere, tetrahedral", "sphere, octants", "height field, 1", "height field, 20"]
-    assert [r["surface"] for r in rows] == names
-    assert [r["patches"] for r in rows] == [10, 8, 1, 20]
+    assert [r["surface"] for r in rows] == [*names, "balls, 1", "balls, 20"]
+    assert [r["patches"] for r in rows] == [10, 8, 1, 20, 10, 20]
     for row in rows:
         assert set(row["parts"]) == {"leaves", "tree", "upload"}
         assert row["leaves"] >= row["patches"]

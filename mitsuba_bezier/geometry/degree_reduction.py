@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from . import bernstein
-from .quadric_groups import local_nets
+from .quadric_fits import local_nets
 from .triangles import BezierTriangles
 
 __all__ = ["reduce_degree"]

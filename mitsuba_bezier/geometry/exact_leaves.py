@@ -6,7 +6,8 @@ import numpy as np
 
 from . import bernstein
 from .leaves import LEAST, Leaves
-from .quadric_groups import in_space, local_nets, plane_forms, quadric_leaves
+from .quadric_fits import in_space, local_nets, plane_forms
+from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["exact_leaves"]

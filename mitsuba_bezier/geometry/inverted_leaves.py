@@ -26,15 +26,15 @@ from . import bernstein
 from .degree_reduction import reduce_degree
 from .leaves import DEVIATION, FORM_ENTRIES, INVERTED, MARGINS, SECTION, Leaves, weight_signs
 from .plane_inverse import ROUNDING, TRIED, centred, newton_converges
-from .quadric_groups import (
+from .quadric_fits import (
     fit_forms,
     in_space,
     local_nets,
     plane_forms,
-    quadric_leaves,
     relative_distance,
     with_its_apex,
 )
+from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["inverted_leaves", "margin_planes"]

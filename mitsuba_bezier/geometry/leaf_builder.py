@@ -68,13 +68,15 @@ def _closed_forms(
     parts = []
     numbers = np.arange(len(patches))
     for find in finders:
-        if not len(numbers):
-            break
-        found, leaves = find(patches[numbers])
-        if len(leaves):
-            leaves.patch = numbers[leaves.patch]
-            parts.append(leaves)
-        numbers = numbers[~found]
+        left = []
+        for first in range(0, len(numbers), _CHUNK):
+            chunk = numbers[first : first + _CHUNK]
+            found, leaves = find(patches[chunk])
+            if len(leaves):
+                leaves.patch = chunk[leaves.patch]
+                parts.append(leaves)
+            left.append(chunk[~found])
+        numbers = np.concatenate([numbers[:0], *left])
     return parts, numbers
 
 

@@ -13,11 +13,14 @@ equations: of degree two for octants, where the plane sections have degree four.
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 
 from . import bernstein
-from .leaves import FORM_ENTRIES, SECTION, Leaves, weight_signs
-from .quadric_groups import fit_forms, in_space, local_nets, quadric_leaves
+from .leaves import SECTION, Leaves, weight_signs
+from .quadric_fits import fit_forms, in_space, local_nets, matrices
+from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["edge_planes", "section_leaves", "shared_map"]
@@ -31,6 +34,8 @@ _MIDDLE = 0.5 + 0.5j
 #: Newton steps after which the parameters must be found, and how well: nets in float32.
 _STEPS = 8
 _OFF = 1e-5
+#: Leaves looked at together: bounds the memory.
+_CHUNK = 512
 #: Parameters by a map that leaves share may be off by this, ten roundings of float32: what nets in
 #: float32 that differ by a rotation are.
 _SAME = 1e-6
@@ -111,13 +116,24 @@ def shared_map(leaves: Leaves) -> tuple[np.ndarray, np.ndarray] | None:
     matrix = leaves.frame[:, :3] @ np.linalg.inv(sides)
     matrix /= np.abs(matrix).max(axis=(1, 2), keepdims=True)
     matrix, net = matrix.mean(axis=0), leaves.net.mean(axis=0)
-    uv = bernstein.multi_indices(12)[:, :2] / 12 - 1 / 3
-    value = np.einsum("kj,lij,lsi->lsk", matrix, sides.transpose(0, 2, 1), _points(leaves, uv))
-    total = value.sum(axis=2)
-    equation = _equation((value[..., 0] + 1j * value[..., 1]) / total - _MIDDLE, net[None])
-    du, dv = _newton(equation, bernstein.degree_of(len(net)), *uv.T)
-    same = np.maximum(np.abs(du), np.abs(dv)).max() <= _SAME
-    return (matrix, net) if same else None
+    for first in range(0, len(leaves), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        if not _gives_parameters(
+            matrix, net, leaves.select(np.arange(len(leaves))[chunk]), sides[chunk]
+        ):
+            return None
+    return matrix, net
+
+
+def _gives_parameters(
+    matrix: np.ndarray, net: np.ndarray, leaves: Leaves, sides: np.ndarray
+) -> bool:
+    """Tell whether what `shared_map` returns is right for leaves with these sides, by samples."""
+    uv = bernstein.multi_indices(6)[:, :2] / 6 - 1 / 3
+    value = np.einsum("lsi,lij,kj->lsk", _points(leaves, uv), sides.transpose(0, 2, 1), matrix)
+    z = (value[..., 0] + 1j * value[..., 1]) / value.sum(axis=2) - _MIDDLE
+    du, dv = _newton(_equation(z, net[None]), *uv.T)
+    return bool(np.maximum(np.abs(du), np.abs(dv)).max() <= _SAME)
 
 
 def _points(leaves: Leaves, uv: np.ndarray) -> np.ndarray:
@@ -132,9 +148,7 @@ def _points(leaves: Leaves, uv: np.ndarray) -> np.ndarray:
     z = (value[..., 0] + 1j * value[..., 1]) / (value[..., 2] + 1j * value[..., 3])
     z += _MIDDLE
     goal = np.stack([z.real, z.imag, 1.0 - z.real - z.imag], axis=-1)
-    rows, forms = leaves.frame[:, :3], np.empty((len(leaves), 4, 4))
-    for k, (i, j) in enumerate(FORM_ENTRIES):
-        forms[:, i, j] = forms[:, j, i] = leaves.form[:, k]
+    rows, forms = leaves.frame[:, :3], matrices(leaves.form)
     _u, _s, vt = np.linalg.svd(rows)
     centre = vt[:, 3]
     near = np.einsum("lcr,lsr->lsc", np.linalg.pinv(rows), goal)
@@ -298,25 +312,36 @@ def _newton_converges(
     u, v = np.zeros((2, *z.shape))
     with np.errstate(all="ignore"):
         for _ in range(_STEPS):
-            du, dv = _newton(equation, n, u, v)
+            du, dv = _newton(equation, u, v)
             u, v = u + du, v + dv
+            if not (np.abs([du, dv]) > _OFF**2).any():
+                break
         off = np.maximum(np.abs(u - goal[:, 0]), np.abs(v - goal[:, 1])).max(axis=1)
     return off < _OFF
 
 
-def _equation(z: np.ndarray, net: np.ndarray) -> np.ndarray:
-    """Return ``P - z Q``, ``(L, S, K)``, for `z` ``(L, S)`` and nets ``(L, K, 4)``."""
-    p, q = (net[..., k] + 1j * net[..., k + 1] for k in (0, 2))
-    return p[:, None] - z[..., None] * q[:, None]
+def _equation(z: np.ndarray, net: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """Return ``P - z Q`` by the powers of ``u, v``, for `z` ``(L, S)`` and nets ``(L, K, 4)``."""
+    p, q = (net[..., None, k] + 1j * net[..., None, k + 1] for k in (0, 2))
+    powers = bernstein.multi_indices(bernstein.degree_of(net.shape[1]))[:, :2].tolist()
+    used = np.flatnonzero(net.any(axis=(0, 2))).tolist()
+    return {tuple(powers[k]): p[:, k] - z * q[:, k] for k in used}
 
 
-def _newton(equation: np.ndarray, n: int, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the steps of Newton's method for equations of degree `n` at ``u, v``."""
-    a, b = bernstein.multi_indices(n)[:, :2].T
-    f, fu, fv = np.zeros((3, *equation.shape[:2]), dtype=complex)
-    for k in np.flatnonzero(equation.any(axis=(0, 1))):
-        f += equation[..., k] * (u ** a[k] * v ** b[k])
-        fu += equation[..., k] * (a[k] * u ** max(a[k] - 1, 0) * v ** b[k])
-        fv += equation[..., k] * (b[k] * u ** a[k] * v ** max(b[k] - 1, 0))
+def _newton(
+    equation: dict[tuple[int, int], np.ndarray], u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the step of Newton's method at ``u, v``."""
+    highest = max(max(powers) for powers in equation)
+    powers_u, powers_v = (
+        list(accumulate([x] * highest, np.multiply, initial=np.ones_like(x))) for x in (u, v)
+    )
+    f, fu, fv = np.zeros((3, *next(iter(equation.values())).shape), dtype=complex)
+    for (a, b), coefficient in equation.items():
+        f += coefficient * (powers_u[a] * powers_v[b])
+        if a:
+            fu += coefficient * (a * powers_u[a - 1] * powers_v[b])
+        if b:
+            fv += coefficient * (b * powers_u[a] * powers_v[b - 1])
     det = (fu.conj() * fv).imag
     return -(f.conj() * fv).imag / det, -(fu.conj() * f).imag / det

@@ -24,7 +24,8 @@ import numpy as np
 
 from . import bernstein
 from .leaves import DISK, SECTION, Leaves, weight_signs
-from .quadric_groups import in_space, local_nets, quadric_leaves
+from .quadric_fits import in_space, local_nets
+from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
 
 __all__ = ["cone_planes", "sector_leaves"]

@@ -6,7 +6,8 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..geometry.inverted_leaves import margin_planes
-from ..geometry.leaves import DEVIATION, DISK, FORM_ENTRIES, LEAST, SECTION, Leaves
+from ..geometry.leaves import DEVIATION, DISK, LEAST, SECTION, Leaves
+from ..geometry.quadric_fits import matrices
 from ..geometry.section_leaves import edge_planes, shared_map
 from ..geometry.sector_leaves import cone_planes
 
@@ -195,9 +196,7 @@ def _reach(boxes: np.ndarray) -> np.ndarray:
 
 def _onto_quadric(form: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return where the lines to `points` from the origin meet the quadric, near them."""
-    matrix = np.empty((4, 4))
-    for k, (i, j) in enumerate(FORM_ENTRIES):
-        matrix[i, j] = matrix[j, i] = form[k]
+    matrix = matrices(form[None])[0]
     q = np.einsum("si,ij,sj->s", points, matrix[:3, :3], points)
     b, c = points @ matrix[:3, 3], matrix[3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
