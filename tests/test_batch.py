@@ -72,7 +72,17 @@ def two_kinds() -> Leaves:
     return Leaves.join([replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())])
 
 
+def balls(count: int) -> Leaves:
+    """Many quadrics, and nothing else."""
+    rng = np.random.default_rng(3)
+    net = mb.sphere(cover="lunes").control_points
+    nets = np.tile(net, (count, 1, 1, 1))
+    nets[..., :3] = 0.12 * nets[..., :3] + nets[..., 3:] * rng.uniform(-1, 1, (count, 1, 1, 3))
+    return build_leaves(mb.BezierTriangles(nets.reshape(-1, *net.shape[1:])))
+
+
 SURFACES = {
+    "quadrics": lambda: balls(120),
     "general": lambda: build_leaves(mb.sphere(), GENERAL),
     "several roots": lambda: build_leaves(mb.torus(tube=0.4)),
     "infinity": lambda: build_leaves(mb.hyperboloid_one_sheet(), GENERAL),
@@ -191,6 +201,23 @@ def in_memory(o: np.ndarray, d: np.ndarray) -> Any:
     ray = ray_of(o, d)
     dr.eval(ray)
     return ray
+
+
+def test_where_it_is_worthwhile():
+    rays = columns(*random_rays(batch._FEW))
+    dr.eval(rays)
+    structures = {
+        "one quadric": build_leaves(mb.sphere(cover="tetrahedral")),
+        "some": balls(batch._FEW_GROUPS - 1),
+        "many": balls(batch._FEW_GROUPS),
+        "few leaves": build_leaves(mb.sphere(), GENERAL).select(np.arange(batch._FEW_LEAVES - 1)),
+        "leaves": build_leaves(mb.sphere(), GENERAL),
+    }
+    asked = {
+        name: batch.is_worthwhile(build_structure(leaves, Float), *rays)
+        for name, leaves in structures.items()
+    }
+    assert [name for name, yes in asked.items() if yes] == ["many", "leaves"]
 
 
 def test_many_rays_that_go_apart(torus, batches):

@@ -36,8 +36,10 @@ _PACKET = 16
 _SHARE = 64
 #: So many rays are traced at once, at most, for the memory that they take.
 _AT_ONCE = 1 << 24
-#: Trees of fewer leaves are walked in a few steps.
+#: Trees of fewer leaves are walked in a few steps; and where all are closed forms, of fewer groups:
+#: that is where it pays.
 _FEW_LEAVES = 8
+_FEW_GROUPS = 100
 #: Rays have little in common if neighbours are so far apart, see `_distance`.
 _APART = 0.05
 #: So many pairs of neighbours are looked at.
@@ -74,7 +76,7 @@ def is_worthwhile(s: Structure, o: list[Any], d: list[Any]) -> bool:
 
     Never inside of a recorded loop or function, where there is no memory to look at.
     """
-    if not (s.has_affine or s.has_projective) or s.leaf_count < _FEW_LEAVES:
+    if s.group_count < _FEW_GROUPS and (s.graph_count == 0 or s.leaf_count < _FEW_LEAVES):
         return False
     if any(dr.flag(flag) for flag in _RECORDING):
         return False

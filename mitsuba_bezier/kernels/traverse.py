@@ -259,6 +259,8 @@ def cull_leaf(
     any_hit: bool,
 ) -> tuple[Any, ChartLine]:
     """Cull a leaf as `chart.cull` does, or let a group pass."""
+    if not (s.has_affine or s.has_projective):
+        return active, ChartLine.zero(ty)
     graph = active & (leaf < s.first_group) if s.has_groups else active
     candidate, line = cull(s, ty, leaf, o, d, t_max, graph, any_hit and s.decides)
     if s.has_groups:
