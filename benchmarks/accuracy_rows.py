@@ -100,6 +100,10 @@ _PROFILES = {
 }
 
 
+#: A ball that is some roundings of float32 from round, 6e-7 of its size.
+_FAR_CENTRE, _FAR_RADIUS = np.array([0.9, -0.3, 0.7]), 0.1
+
+
 def of_revolution(name: str) -> BezierTriangles:
     """Return a closed surface as CAD systems write it, cut along diagonals; edges collapse."""
     return BezierTriangles.join([tensor_to_triangles(revolved(p)) for p in _PROFILES[name]])
@@ -121,7 +125,21 @@ def _covers():
         ("sphere of revolution", of_revolution("sphere"), None, _in_ball),
         ("cylinder of revolution", of_revolution("cylinder"), None, _in_cylinder),
         ("cone of revolution", of_revolution("cone"), None, _in_cone),
+        ("tetrahedral, small and far, float32", _far("tetrahedral"), None, _in_far_ball),
+        ("octants, small and far, float32", _far("octants"), None, _in_far_ball),
     )
+
+
+def _far(cover: str) -> BezierTriangles:
+    """Return a ball whose patches differ by rounding: some share a quadric, some are general."""
+    matrix = np.diag([_FAR_RADIUS] * 3 + [1.0])
+    matrix[:3, 3] = _FAR_CENTRE
+    nets = mb.sphere(cover=cover).transform(matrix).control_points
+    return BezierTriangles(nets.astype(np.float32).astype(np.float64))
+
+
+def _in_far_ball(rng: Rng, count: int) -> np.ndarray:
+    return _FAR_CENTRE + _FAR_RADIUS * _in_ball(rng, count)
 
 
 def leaks(rng: Rng, scale: float, only: tuple[str, ...] = ()) -> Iterator[Line]:
