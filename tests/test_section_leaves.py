@@ -107,7 +107,7 @@ def test_congruent_patches_share_a_map(kind, single):
     if single:  # as nets come through Mitsuba's tensors
         patches = mb.BezierTriangles(patches.control_points.astype(np.float32).astype(float))
     leaves = build_leaves(patches)
-    shared = shared_map(leaves)
+    shared = shared_map(leaves, edge_planes(leaves))
     assert shared is not None
     matrix, net = shared
     # from a point's three sides to its parameters' powers
@@ -126,8 +126,9 @@ def test_congruent_patches_share_a_map(kind, single):
 
 
 def test_others_do_not():
-    assert shared_map(build_leaves(BOTH)) is None
-    built = structure.build_structure(build_leaves(BOTH), llvm.Float)
+    leaves = build_leaves(BOTH)
+    assert shared_map(leaves, edge_planes(leaves)) is None
+    built = structure.build_structure(leaves, llvm.Float)
     assert built.has_sections and built.shared_section is None
     octants = build_leaves(mb.sphere(cover="octants"))
     assert structure.build_structure(octants, llvm.Float).shared_section is not None

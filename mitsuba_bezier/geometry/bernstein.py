@@ -216,9 +216,12 @@ SPLIT_CORNERS = (
 
 
 @cache
-def split_matrices(n: int) -> np.ndarray:
-    """Return the ``(4, K, K)`` matrices of the midpoint split (see `SPLIT_CORNERS`)."""
-    out = np.stack([subdivision_matrix(n, c) for c in SPLIT_CORNERS])
+def split_matrices(n: int, times: int = 1) -> np.ndarray:
+    """Return the matrices ``(4^times, K, K)`` of repeated midpoint splits (see `SPLIT_CORNERS`)."""
+    once = np.stack([subdivision_matrix(n, c) for c in SPLIT_CORNERS])
+    out = once
+    for _ in range(times - 1):
+        out = np.einsum("eij,fjk->feik", once, out).reshape(-1, *once.shape[1:])
     out.setflags(write=False)
     return out
 

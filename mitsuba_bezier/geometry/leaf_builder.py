@@ -22,7 +22,8 @@ __all__ = ["build_leaves", "rebuild_leaves"]
 #: Finds patches with a closed form, and returns which and their leaves.
 Finder = Callable[[BezierTriangles], tuple[np.ndarray, Leaves]]
 
-#: Patches subdivided at a time: bounds the memory of the build, not its result.
+#: Patches looked at together, and subdivided: bounds the memory of the build, not its result, but
+#: that patches on one quadric on both sides of such a border are two groups.
 _CHUNK = 4096
 
 

@@ -149,6 +149,7 @@ def fit_forms(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def matrices(form: np.ndarray) -> np.ndarray:
+    """Return the symmetric matrices ``(L, 4, 4)`` of ten entries each, see `FORM_ENTRIES`."""
     out = np.zeros((len(form), 4, 4))
     for c, (i, j) in enumerate(FORM_ENTRIES):
         out[:, i, j] = out[:, j, i] = form[:, c]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cache
-
 import numpy as np
 
 from . import bernstein
@@ -68,30 +65,15 @@ def quadric_leaves(
 def _tight_boxes(patches: BezierTriangles) -> np.ndarray:
     """Return boxes of control points after a few midpoint splits, ``(P, 2, 3)``."""
     nets = patches.control_points
-    split = _split_matrix(patches.degree)
+    split = bernstein.split_matrices(patches.degree, 3)
+    split = split.reshape(-1, split.shape[2])
     box = np.empty((len(nets), 2, 3))
     for first in range(0, len(nets), _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        fine = split @ nets[chunk]
-        weight = fine[..., 3:]
-        plain = (weight > 0).all(axis=(1, 2))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            points = fine[..., :3] / weight
-        box[chunk] = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
-        for k in np.flatnonzero(~plain):
-            parts = BezierTriangles(fine[k].reshape(-1, *nets.shape[1:])).bounds()
-            box[first + k] = parts[:, 0].min(axis=0), parts[:, 1].max(axis=0)
+        fine = BezierTriangles((split @ nets[chunk]).reshape(-1, *nets.shape[1:]))
+        parts = fine.bounds().reshape(len(nets[chunk]), -1, 2, 3)
+        box[chunk, 0], box[chunk, 1] = parts[:, :, 0].min(axis=1), parts[:, :, 1].max(axis=1)
     return box
-
-
-@cache
-def _split_matrix(degree: int) -> np.ndarray:
-    """Return the matrix that takes a net to those of its parts after three midpoint splits."""
-    once = bernstein.split_matrices(degree)
-    out = np.eye(once.shape[1])[None]
-    for _ in range(3):
-        out = np.einsum("eij,fjk->feik", once, out).reshape(-1, *once.shape[1:])
-    return out.reshape(-1, once.shape[2])
 
 
 #: Inverted patches whose quadrics are alike up to the first, as those of parts of a quadric in
@@ -113,31 +95,29 @@ def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
     A ray then meets the quadric of a whole group once. Groups of more patches than `_GROUP` says
     are cut in space.
     """
-    own = replace(
-        leaves, **{name: getattr(leaves, name).copy() for name in ("form", "frame", "shift")}
-    )
-    group = np.full(len(leaves), -1)
+    forms, shift = matrices(leaves.form), leaves.shift.copy()
+    group, distance = np.full(len(leaves), -1), np.zeros(len(leaves))
     used = 0
     classes = [np.arange(len(leaves))]
     while classes:
         tried = []
         for members in classes:
-            parts = _on_one_quadric(own, patches, members)
+            parts = _on_one_quadric(leaves, patches, members)
             if used and len(parts) == 1:  # looked at again, and not told apart
                 parts = [members[k : k + 1] for k in range(len(members))]
-            for part in parts:
-                group[part] = used
-                used += 1
-                if len(part) > 1:
-                    _share(leaves, patches, part)
-                    tried.append(part)
-        classes = _wrong(leaves, patches, tried)
-        for part in classes:
-            for name in ("form", "frame", "shift"):
-                getattr(leaves, name)[part] = getattr(own, name)[part]
+            tried += parts
+        for part in tried:
+            group[part] = used
+            used += 1
+            forms[part], shift[part] = _common_quadric(leaves, patches, part)
+        every = np.concatenate(tried)
+        distance[every] = relative_distance(patches[every], forms[every], shift[every])
+        classes = [part for part in tried if len(part) > 1 and distance[part].max() > _WRONG]
     leaves.group = group
+    leaves.form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
+    leaves.frame[:, :, 3] += np.einsum("lrc,lc->lr", leaves.frame[:, :, :3], shift - leaves.shift)
+    leaves.shift = shift
     # 2: between the samples, and what the neighbour's quadric is off
-    distance = relative_distance(patches, matrices(leaves.form), leaves.shift)
     leaves.form[:, DEVIATION] = np.minimum(2 * distance + 1e-12, _WRONG)
     return leaves.select(np.argsort(group, kind="stable"))
 
@@ -148,7 +128,7 @@ def _on_one_quadric(
     """Return parts of `members` that are on one quadric each, as far as their common size tells.
 
     Quadrics that differ by little in that size, as concentric spheres that are small, are taken
-    for one: `_wrong` finds these, and in their own size they differ.
+    for one: these are not on what they would share, and in their own size they differ.
     """
     patches = patches[members]
     centre, size = centre_and_size(patches)
@@ -197,17 +177,6 @@ def _flat_forms(
     return flat * np.sign(np.take_along_axis(flat, first[:, None], axis=1))
 
 
-def _wrong(leaves: Leaves, patches: BezierTriangles, parts: list[np.ndarray]) -> list[np.ndarray]:
-    """Return those of `parts` with a patch that is not on the quadric of its group."""
-    if not parts:
-        return []
-    every = np.concatenate(parts)
-    chosen = patches[every]
-    off = relative_distance(chosen, matrices(leaves.form[every]), leaves.shift[every])
-    starts = np.cumsum([0, *(len(part) for part in parts)])[:-1]
-    return [parts[k] for k in np.flatnonzero(np.logical_or.reduceat(off > _WRONG, starts))]
-
-
 def _middle_and_scale(centre: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the middle of patches, and how far they reach from there."""
     middle = (centre.min(axis=0) + centre.max(axis=0)) / 2
@@ -254,8 +223,12 @@ def _spatial_parts(members: np.ndarray, centre: np.ndarray, most: int) -> list[n
     ]
 
 
-def _share(leaves: Leaves, patches: BezierTriangles, part: np.ndarray) -> None:
-    """Write one origin and one quadric to all leaves of a group."""
+def _common_quadric(
+    leaves: Leaves, patches: BezierTriangles, part: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quadric, a matrix on ``(p - shift, 1)``, and the shift of a group's leaves."""
+    if len(part) == 1:
+        return matrices(leaves.form[part])[0], leaves.shift[part[0]]
     with np.errstate(invalid="ignore"):  # -inf + inf of patches that run to the horizon
         shift = (leaves.box[part, 0].min(axis=0) + leaves.box[part, 1].max(axis=0)) / 2
     shift = np.where(np.isfinite(shift), shift, leaves.shift[part].mean(axis=0))
@@ -279,12 +252,7 @@ def _share(leaves: Leaves, patches: BezierTriangles, part: np.ndarray) -> None:
         moved = patches.control_points[inverted].copy()
         moved[..., :3] -= moved[..., 3:] * shift
         form = with_its_apex(form, moved)
-    form /= np.abs(form).max()
-    leaves.form[part, :10] = [form[i, j] for i, j in FORM_ENTRIES]
-    leaves.frame[part, :, 3] += np.einsum(
-        "lrc,lc->lr", leaves.frame[part, :, :3], shift - leaves.shift[part]
-    )
-    leaves.shift[part] = shift
+    return form / np.abs(form).max(), shift
 
 
 def _fit_together(patches: BezierTriangles, middle: np.ndarray, scale: float) -> np.ndarray | None:

@@ -98,11 +98,17 @@ def edge_planes(leaves: Leaves) -> np.ndarray:
     return planes
 
 
-def shared_map(leaves: Leaves) -> tuple[np.ndarray, np.ndarray] | None:
+def shared_map(leaves: Leaves, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return what finds the parameters of points on all such leaves alike, if they are congruent.
 
     Octants of one sphere are, and of its affine images: what `_projections` makes of a patch does
     not depend on its place, but for rounding.
+
+    Parameters
+    ----------
+    leaves : Leaves
+    planes : (L, 3, 4) array
+        Their `edge_planes`.
 
     Returns
     -------
@@ -112,15 +118,13 @@ def shared_map(leaves: Leaves) -> tuple[np.ndarray, np.ndarray] | None:
         P and Q.
     """
     sides = np.zeros((len(leaves), 4, 4))
-    sides[:, :3], sides[:, 3, 3] = edge_planes(leaves), 1.0
+    sides[:, :3], sides[:, 3, 3] = planes, 1.0
     matrix = leaves.frame[:, :3] @ np.linalg.inv(sides)
     matrix /= np.abs(matrix).max(axis=(1, 2), keepdims=True)
     matrix, net = matrix.mean(axis=0), leaves.net.mean(axis=0)
     for first in range(0, len(leaves), _CHUNK):
-        chunk = slice(first, first + _CHUNK)
-        if not _gives_parameters(
-            matrix, net, leaves.select(np.arange(len(leaves))[chunk]), sides[chunk]
-        ):
+        chunk = np.arange(first, min(first + _CHUNK, len(leaves)))
+        if not _gives_parameters(matrix, net, leaves.select(chunk), sides[chunk]):
             return None
     return matrix, net
 

@@ -311,6 +311,9 @@ class BezierTriangles:
         (subdivide first for something tighter).
         """
         w = self._net[..., 3]
+        if ((w > 0).all(axis=1) | (w < 0).all(axis=1)).all():
+            p = self._net[..., :3] / w[..., None]
+            return np.stack([p.min(axis=1), p.max(axis=1)], axis=1)
         sign = np.where((w >= 0).all(axis=1), 1.0, np.where((w <= 0).all(axis=1), -1.0, 0.0))
         net = self._net * np.where(sign == 0, 1.0, sign)[:, None, None]
         w = net[..., 3]

@@ -76,7 +76,7 @@ def is_worthwhile(s: Structure, o: list[Any], d: list[Any]) -> bool:
 
     Never inside of a recorded loop or function, where there is no memory to look at.
     """
-    if s.group_count < _FEW_GROUPS and (s.graph_count == 0 or s.leaf_count < _FEW_LEAVES):
+    if s.group_count < _FEW_GROUPS and (not s.has_graphs or s.leaf_count < _FEW_LEAVES):
         return False
     if any(dr.flag(flag) for flag in _RECORDING):
         return False

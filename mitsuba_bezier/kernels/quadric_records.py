@@ -21,6 +21,7 @@ __all__ = [
     "group_records",
     "inverse_records",
     "member_records",
+    "member_sides",
     "ranges",
     "section_records",
     "shared_section",
@@ -77,12 +78,13 @@ def inverse_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     return rows
 
 
-def member_records(leaves: Leaves, exact: np.ndarray, first_leaf: int) -> np.ndarray:
+def member_records(
+    leaves: Leaves, exact: np.ndarray, sides: np.ndarray, first_leaf: int
+) -> np.ndarray:
     """Return the records of members, with tables, for `exact` leaves numbered from `first_leaf`."""
     out = np.zeros((len(exact), MEMBER), dtype=np.float32)
-    rows = _sides(leaves, exact)
-    scale = _scale(leaves, exact, rows)
-    out[:, :12] = (rows / scale[:, None, None]).reshape(-1, 12)
+    scale = _scale(leaves, exact, sides)
+    out[:, :12] = (sides / scale[:, None, None]).reshape(-1, 12)
     out[:, 13] = leaves.form[exact, LEAST] / scale
     out[:, 14] = leaves.form[exact, SECTION]
     out[:, 12] = (first_leaf + np.arange(len(exact), dtype=np.uint32)).view(np.float32)
@@ -101,7 +103,7 @@ def _scale(leaves: Leaves, exact: np.ndarray, sides: np.ndarray) -> np.ndarray:
     return scale
 
 
-def _sides(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
+def member_sides(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     """Return the rows ``(E, 3, 4)`` whose values are not negative on an exact leaf.
 
     Where the leaf is none of the kinds below, they are its barycentrics but for a common factor.
@@ -149,7 +151,9 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
     return out
 
 
-def cell_records(leaves: Leaves, exact: np.ndarray, groups: np.ndarray) -> np.ndarray:
+def cell_records(
+    leaves: Leaves, exact: np.ndarray, sides: np.ndarray, groups: np.ndarray
+) -> np.ndarray:
     """Return the tables of possible members, and write their numbers into the `groups`' records.
 
     A member may have points in a cell that meets its box, unless one of its sides, where it has
@@ -160,7 +164,6 @@ def cell_records(leaves: Leaves, exact: np.ndarray, groups: np.ndarray) -> np.nd
     if not leaves.are_inverted.any() or not len(large):
         return np.zeros((0, CELLS), dtype=np.float32)
     groups[large, 14] += 32 * (1 + np.arange(len(large)))
-    sides = _sides(leaves, exact)
     # barycentrics have signs only up to a common factor, and those of disks are no bounds
     bounded = (leaves.are_sections | leaves.are_inverted | leaves.are_cones)[exact]
     box = leaves.box[exact] - leaves.shift[exact][:, None]
@@ -222,7 +225,7 @@ def _polynomials(nets: np.ndarray) -> np.ndarray:
     return np.pad(kept, ((0, 0), (0, -kept.shape[1] % 8))).astype(np.float32)
 
 
-def shared_section(leaves: Leaves, exact: np.ndarray) -> list[float] | None:
+def shared_section(leaves: Leaves, exact: np.ndarray, sides: np.ndarray) -> list[float] | None:
     """Return what finds the parameters on all exact leaves alike, if they are congruent sections.
 
     That is the matrix of `section_leaves.shared_map`, from the sides as members have them, row by
@@ -230,11 +233,11 @@ def shared_section(leaves: Leaves, exact: np.ndarray) -> list[float] | None:
     """
     if not len(exact) or not leaves.are_sections[exact].all():
         return None
-    shared = shared_map(leaves.select(exact))
+    shared = shared_map(leaves.select(exact), sides)
     if shared is None:
         return None
     matrix, net = shared
-    matrix[:, :3] *= _scale(leaves, exact, _sides(leaves, exact))[0]
+    matrix[:, :3] *= _scale(leaves, exact, sides)[0]
     return [*matrix.reshape(-1).tolist(), *_polynomials(net[None])[0].tolist()]
 
 

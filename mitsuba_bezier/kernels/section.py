@@ -44,7 +44,7 @@ def section_parameters(
     equations, degree = _equations(s, leaf, x - 0.5, y - 0.5, active)
 
     def body(run, step, u, v):
-        du, dv = _newton(*horner(equations, degree, u, v))
+        du, dv, _det = _newton(*horner(equations, degree, u, v))
         size = dr.maximum(dr.abs(du), dr.abs(dv))
         usable = size < 1.0  # false for NaN
         u, v = dr.select(usable, u + du, u), dr.select(usable, v + dv, v)
@@ -54,7 +54,7 @@ def section_parameters(
 
     # the first step, from the middle, where all powers are zero
     rows = (bernstein.row(degree, *powers) for powers in ((0, 0), (1, 0), (0, 1)))
-    u, v = _newton(*(equations[2 * k : 2 * k + 2] for k in rows))
+    u, v, _det = _newton(*(equations[2 * k : 2 * k + 2] for k in rows))
     _run, _step, u, v = dr.while_loop(
         (active, ty.UInt(1), u, v),
         cond=lambda *st: st[0],
@@ -65,11 +65,12 @@ def section_parameters(
     return dr.select(active, u + 1 / 3, x), dr.select(active, v + 1 / 3, y)
 
 
-def _newton(value: list[Any], by_u: list[Any], by_v: list[Any]) -> tuple[Any, Any]:
-    """Return the step to where the linear parts of two equations vanish."""
+def _newton(value: list[Any], by_u: list[Any], by_v: list[Any]) -> tuple[Any, Any, Any]:
+    """Return the step to where the linear parts of two equations vanish, and the determinant."""
     (f, g), (fu, gu), (fv, gv) = value, by_u, by_v
-    inv = dr.rcp(dr.fma(fu, gv, -fv * gu))
-    return dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv
+    det = dr.fma(fu, gv, -fv * gu)
+    inv = dr.rcp(det)
+    return dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv, det
 
 
 def inverted_parameters(
@@ -102,10 +103,8 @@ def inverted_parameters(
     u, v = dr.fma(start[0], scale, -1 / 3), dr.fma(start[1], scale, -1 / 3)
 
     def body(run, step, u, v, before, back_u, back_v, by_u, by_v, by_both):
-        (f, g), (fu, gu), (fv, gv) = horner(equations, degree, u, v)
-        det = dr.fma(fu, gv, -fv * gu)
-        inv = dr.rcp(det)
-        du, dv = dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv
+        (f, g), (fu, gu), (fv, gv) = evaluated = horner(equations, degree, u, v)
+        du, dv, det = _newton(*evaluated)
         size = dr.maximum(dr.abs(du), dr.abs(dv))
         # what parameters change in the plane
         by_u, by_v = dr.abs(fu) + dr.abs(gu), dr.abs(fv) + dr.abs(gv)

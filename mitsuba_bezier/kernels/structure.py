@@ -18,6 +18,7 @@ from .quadric_records import (
     group_records,
     inverse_records,
     member_records,
+    member_sides,
     ranges,
     section_records,
     shared_section,
@@ -126,6 +127,11 @@ class Structure:
         return self.graph_count > self.affine_count
 
     @property
+    def has_graphs(self) -> bool:
+        """Whether there is a leaf without a closed form."""
+        return self.graph_count > 0
+
+    @property
     def has_groups(self) -> bool:
         """Whether there is a leaf with a closed form."""
         return self.group_count > 0
@@ -180,20 +186,21 @@ def build_structure(
     # polynomial patches have weight one on all leaves, up to rounding of float64
     rational = bool((np.abs(leaves.net[affine, :, 3]) > 1e-12).any())
     components = 4 if rational else 3
+    sides = member_sides(leaves, exact)
     arrays = {
         "affine": _affine_records(leaves, affine),
         "projective": _projective_records(leaves, projective),
         "nets": _nets(leaves, affine, components).astype(np.float32),
         "far_nets": _nets(leaves, projective),
         "groups": group_records(leaves, exact, group_first, group_size),
-        "members": member_records(leaves, exact, len(graph)),
+        "members": member_records(leaves, exact, sides, len(graph)),
         "rows": inverse_records(leaves, exact),
         "planes": section_records(leaves, exact),
         "domain": _domain(leaves, order, None if trims is None else trims[1]),
     }
-    arrays["cells"] = cell_records(leaves, exact, arrays["groups"])
+    arrays["cells"] = cell_records(leaves, exact, sides, arrays["groups"])
     single = ty.Float is ty.Float32  # as members are
-    shared = shared_section(leaves, exact) if single else None
+    shared = shared_section(leaves, exact, sides) if single else None
     only = None
     if len(group_first) == 1:
         only = [dr.opaque(ty.Float64, float(x)) for x in arrays["groups"][0]]

@@ -62,7 +62,7 @@ def intersect(
     active = ty.Bool(active) & is_ray(o, d, t_max)
     slabs = prepare(ty, o, d)
     walk = begin(ty, s.nodes, slabs, t_max)
-    if s.only_group is not None and not s.graph_count:
+    if s.only_group is not None and not s.has_graphs:
         t, leaf, u, v = _meet_group(s, ty, o, d, t_max, active & (walk.leaves != 0))
     else:
         t, leaf, u, v = search(s, ty, o, d, slabs, t_max, ty.UInt(0), walk, active, any_hit)
@@ -185,7 +185,7 @@ def _meet(
     active: Any,
     any_hit: bool,
 ) -> tuple[Any, Any, Any, Any, Any]:
-    if s.has_groups and (s.has_affine or s.has_projective):
+    if s.has_groups and s.has_graphs:
         return dr.if_stmt(
             args=(active, index, line, t_max),
             cond=active & (index >= s.first_group),
@@ -222,7 +222,7 @@ def finish(
             dr.select(first, w, dr.select(second, v, u)),
             dr.select(first, u, dr.select(second, w, v)),
         )
-    if s.has_affine or s.has_projective or s.has_inverted:  # or leaves are patches
+    if s.has_graphs or s.has_inverted:  # or leaves are patches
         w = 1.0 - u - v
         bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
         inv = dr.rcp(bary[0] + bary[1] + bary[2])
@@ -259,7 +259,7 @@ def cull_leaf(
     any_hit: bool,
 ) -> tuple[Any, ChartLine]:
     """Cull a leaf as `chart.cull` does, or let a group pass."""
-    if not (s.has_affine or s.has_projective):
+    if not s.has_graphs:
         return active, ChartLine.zero(ty)
     graph = active & (leaf < s.first_group) if s.has_groups else active
     candidate, line = cull(s, ty, leaf, o, d, t_max, graph, any_hit and s.decides)
@@ -306,7 +306,7 @@ def _candidate(
     There may be none, and still more of the tree. For the closest hit leaves are culled in pairs:
     that takes less than twice the time of one, most of which is waiting for results.
     """
-    if not (s.has_affine or s.has_projective):
+    if not s.has_graphs:
         walk, leaf = next_leaf(s.nodes, ty, first, walk, slabs, t_max, run)
         return walk, leaf, ChartLine.zero(ty)
 
