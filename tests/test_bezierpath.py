@@ -312,7 +312,7 @@ def test_bad_parameters(parameters, message):
 
 def test_weights_of_densities_whose_squares_overflow() -> None:
     # in the plane of a light its density comes near 1e20; such paths made NaN pixels
-    from mitsuba_bezier.plugins.bezierpath import mis_weight
+    from mitsuba_bezier.plugins.path_tracing import mis_weight
 
     a, b = mi.Float([1e20, 1.0, 1e20, 3.0, 0.0]), mi.Float([1.0, 1e20, 1e20, 4.0, 1.0])
     # 1e-6: a few roundings of float32

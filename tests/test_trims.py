@@ -13,7 +13,8 @@ from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.sign_changes import bernstein_product, evaluate, sign_changes, split
 from mitsuba_bezier.geometry.trim_cells import SLACK, monotone_pieces, trim_cells
 from mitsuba_bezier.geometry.trims import Trims, closed_region, square_map
-from mitsuba_bezier.kernels.trim import build_table, keep
+from mitsuba_bezier.kernels.trim import keep
+from mitsuba_bezier.kernels.trim_table import build_table
 
 
 def circle(center, radius, pieces=4) -> list[np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -23,9 +23,7 @@ from .quadric_records import (
     section_records,
     shared_section,
 )
-
-if TYPE_CHECKING:
-    from .trim import TrimTable
+from .trim_table import TrimTable
 
 __all__ = ["Structure", "build_structure"]
 

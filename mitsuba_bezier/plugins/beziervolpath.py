@@ -10,11 +10,11 @@ import mitsuba as mi
 
 from .. import _runtime
 from ..errors import BezierError
-from .bezierpath import mis_weight
 from .depths import check_depths
 from .emitters import EmitterSampling
 from .interaction import Preliminary
 from .media import Media, flight_channel, flight_weight, hit_distance, transmittance
+from .path_tracing import mis_weight
 from .scene import SceneRays
 
 __all__ = ["make_volpath_class"]

@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 
 from .attached import attached_tables, is_attached
-from .bezierpath import trace
 from .boundary_lines import BoundaryLines
+from .path_tracing import trace
 from .primary_silhouette import splatted, surface_at
 from .scene import SceneRays
 

@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import BezierError
-from .bezierpath import mis_weight, skip_emitters
 from .emitters import EmitterSampling
 from .interaction import Preliminary
+from .path_tracing import mis_weight, skip_emitters
 from .scene import SceneRays
 
 __all__ = ["replay"]

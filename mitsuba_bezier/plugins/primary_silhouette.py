@@ -10,8 +10,8 @@ import numpy as np
 
 from ..errors import BezierError
 from .attached import attached_tables, is_attached
-from .bezierpath import trace
 from .interaction import Preliminary
+from .path_tracing import trace
 from .scene import SceneRays
 from .silhouette import Discrete, SilhouetteCurves
 

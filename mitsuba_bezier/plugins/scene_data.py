@@ -23,7 +23,7 @@ from ..kernels.batch import query
 from ..kernels.patch import pack
 from ..kernels.structure import Structure, build_structure
 from ..kernels.traverse import Hit
-from ..kernels.trim import TrimTable, build_table
+from ..kernels.trim_table import TrimTable, build_table
 from .attached import attached_tables
 from .contours import open_edges
 from .copies import CopyTables
