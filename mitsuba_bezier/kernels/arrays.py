@@ -12,7 +12,15 @@ import numpy as np
 
 from ..errors import BezierError
 
-__all__ = ["Types", "dot3", "gather_packets", "types_of", "upload"]
+__all__ = [
+    "Types",
+    "dot3",
+    "gather_packets",
+    "inverse_root",
+    "reciprocal",
+    "types_of",
+    "upload",
+]
 
 
 @dataclass(frozen=True)
@@ -107,3 +115,21 @@ def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> l
 def dot3(a: Any, b: Any) -> Any:
     """Return ``a . b`` of two sequences of three arrays, fused."""
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
+
+
+def reciprocal(x: Any) -> Any:
+    """Return ``1 / x``, for float64 to its last digit.
+
+    There `dr.rcp` is CUDA's ``rcp.approx.ftz.f64``, of 20 bits; and so it is in all that Dr.Jit
+    makes of it: `dr.rsqrt`, `dr.normalize`, `dr.tan`, `dr.tanh`.
+    """
+    return 1.0 / x if _is_float64(x) else dr.rcp(x)
+
+
+def inverse_root(x: Any) -> Any:
+    """Return ``1 / sqrt(x)``; see `reciprocal`."""
+    return 1.0 / dr.sqrt(x) if _is_float64(x) else dr.rsqrt(x)
+
+
+def _is_float64(x: Any) -> bool:
+    return bool(dr.type_v(x) == dr.VarType.Float64)

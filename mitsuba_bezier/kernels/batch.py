@@ -17,7 +17,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry.tree import NO_LEAF
-from .arrays import Types, dot3, types_of
+from .arrays import Types, dot3, inverse_root, types_of
 from .structure import Structure
 from .traverse import Hit, cull_leaf, finish, intersect, is_ray, meet, search, take_candidate
 from .walk import Slabs, Walk, begin, prepare, walk_to_leaves
@@ -336,7 +336,7 @@ def _distance(s: Structure, ty: Types, o: list[Any], d: list[Any]) -> float:
     points, directions = [], []
     for number in (first, first + 1):
         o_i, d_i = ray(number)
-        inverse = dr.rsqrt(dot3(d_i, d_i))
+        inverse = inverse_root(dot3(d_i, d_i))
         unit = [x * inverse for x in d_i]
         away = [0.5 * (low[a] + high[a]) - o_i[a] for a in range(3)]
         ahead = dr.maximum(dot3(away, unit), 0.0)

@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry.leaves import LEAST_REACH
-from .arrays import Types, dot3, gather_packets
+from .arrays import Types, dot3, gather_packets, reciprocal
 from .structure import (
     AFFINE,
     LEAST_REMAINDER,
@@ -100,12 +100,12 @@ def _cull_affine(
     rows = _rows(record)
     e = [dot3(row, d) for row in rows]
     f64 = ty.Float64
-    t0 = f64(-dot3([o[i] - ty.Float(record[i]) for i in range(3)], d) * dr.rcp(dot3(d, d)))
+    t0 = f64(-dot3([o[i] - ty.Float(record[i]) for i in range(3)], d) * reciprocal(dot3(d, d)))
     near = _point(ty, record, t0, o, d)
     x0 = [dot3(row, [ty.Float(x) for x in near]) for row in rows]
     # on a leaf as thin as a hair the nearest point may be thousands of widths away: then on to the
     # point nearest in the chart
-    ahead = -dot3(x0, e) * dr.rcp(dot3(e, e))
+    ahead = -dot3(x0, e) * reciprocal(dot3(e, e))
     x0 = [dr.fma(ahead, e[i], x0[i]) for i in range(3)]
     base = t0 + f64(ahead)
     word = dr.reinterpret_array(ty.UInt, record[15])
@@ -187,7 +187,7 @@ def projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, 
     a = [dot3(row, near) + row[3] for row in rows]
     b = [dot3(row, dd) for row in rows]
     aw, bw = a[3], b[3]
-    inv = dr.rcp(dr.fma(aw, aw, bw * bw))
+    inv = reciprocal(dr.fma(aw, aw, bw * bw))
     x0 = [dr.fma(aw, a[i], bw * b[i]) * inv for i in range(3)]
     e = [dr.fma(aw, b[i], -bw * a[i]) * inv for i in range(3)]
     middle = -dot3([x0[0] - 1 / 3, x0[1] - 1 / 3, x0[2]], e) / dot3(e, e)
@@ -234,7 +234,7 @@ def _cull(
     for k, (f0, f1) in enumerate(((x0[0], e[0]), (x0[1], e[1]), (w0, ew))):
         # f0 + tau f1 >= -outward, on the line: a half-line. Where f1 = 0 it is all or nothing, and
         # taken for all
-        inverse = dr.rcp(f1)
+        inverse = reciprocal(f1)
         cut = (-outward[k] - f0) * inverse
         lo = dr.select((f1 > 0.0) & (cut > lo), cut, lo)
         hi = dr.select((f1 < 0.0) & (cut < hi), cut, hi)
@@ -242,7 +242,7 @@ def _cull(
             cut = (inward[k] - f0) * inverse
             inner_lo = dr.select((f1 > 0.0) & (cut > inner_lo), cut, inner_lo)
             inner_hi = dr.select((f1 < 0.0) & (cut < inner_hi), cut, inner_hi)
-    rising = dr.rcp(e[2])
+    rising = reciprocal(e[2])
     low, high = (-height - x0[2]) * rising, (height - x0[2]) * rising
     near, far = dr.select(rising > 0.0, low, high), dr.select(rising > 0.0, high, low)
     lo, hi = dr.select(near > lo, near, lo), dr.select(far < hi, far, hi)

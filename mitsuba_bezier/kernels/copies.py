@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry.tree import NO_LEAF
-from .arrays import dot3, gather_packets, types_of, upload
+from .arrays import dot3, gather_packets, reciprocal, types_of, upload
 from .nodes import Nodes, build_nodes
 from .structure import Structure
 from .traverse import Hit, finish, is_ray, search
@@ -92,7 +92,7 @@ def intersect_copies(
     active = ty.Bool(active) & is_ray(o, d, t_max)
     slabs = prepare(ty, o, d)
     start_of_walk = begin(ty, c.nodes, slabs, t_max)
-    inv_length2 = dr.rcp(dot3(d, d))
+    inv_length2 = reciprocal(dot3(d, d))
     inv_length = dr.sqrt(inv_length2)
 
     def body(run, walk, t, leaf, u, v, copy):

@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
-from .arrays import gather_packets
+from .arrays import gather_packets, reciprocal
 from .patch import affine_partials, bernstein_basis
 
 __all__ = ["affine_second_partials", "evaluate_second"]
@@ -75,7 +75,7 @@ def affine_second_partials(h: list[list[Any]]) -> tuple[list[Any], ...]:
     h : list
         What `evaluate_second` returns.
     """
-    inv = dr.rcp(h[0][3])
+    inv = reciprocal(h[0][3])
     p, pu, pv = affine_partials(*h[:3])
     wu, wv = h[1][3], h[2][3]
 

@@ -11,7 +11,7 @@ import drjit as dr
 
 from ..geometry import bernstein
 from ..geometry.leaves import BENDING_LIMIT, SIZES
-from .arrays import Types, gather_packets, types_of
+from .arrays import Types, gather_packets, inverse_root, reciprocal, types_of
 from .chart import ChartLine, affine_line, affine_quadratic, projective_line, root_fraction
 from .grazing import polish
 from .net import graph_point
@@ -185,7 +185,7 @@ def _march(
     wobble = 0.5 * variation * lateral2  # half the uncertainty of the second derivative
     speed2 = dr.fma(ez, ez, lateral2)
     speed = dr.sqrt(speed2)
-    longest = 2.0 * last_step * dr.rcp(speed)
+    longest = 2.0 * last_step * reciprocal(speed)
     tilt = 2.0 * bending * dr.sqrt(lateral2)
     # the quadratic's mixed second derivative along the ray and along the axes
     mixed_x = dr.fma(a, ey, -dr.fma(b, ex + ex + ey, c * ey))
@@ -208,7 +208,7 @@ def _march(
 
     def advance(go, step, tau, u, v, sign, root, slope, normal2):
         (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, n, u, v)
-        idet = dr.rcp(dr.fma(xu, yv, -xv * yu))
+        idet = reciprocal(dr.fma(xu, yv, -xv * yu))
         rx, ry = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y
         du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet
         eu, ev = dr.fma(yv, ex, -xv * ey) * idet, dr.fma(xu, ey, -yu * ex) * idet
@@ -257,8 +257,8 @@ def _march(
         )
         # a root: is it ours?
         slope = dr.abs(slope)
-        closing = slope * dr.rsqrt(normal2)
-        tolerance = edge_tolerance(closing * dr.rcp(speed))
+        closing = slope * inverse_root(normal2)
+        tolerance = edge_tolerance(closing * reciprocal(speed))
         inside = dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance
         t = parameter(tau)
         accept = run & root & inside & (t > 0.0) & (t < best)

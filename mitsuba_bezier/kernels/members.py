@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry.leaves import INVERTED
-from .arrays import Types, dot3, gather_packets
+from .arrays import Types, dot3, gather_packets, reciprocal
 from .quadric_records import CELLS, FEW, MEMBER, TABLE
 from .section import inverted_parameters
 from .structure import Structure
@@ -65,7 +65,7 @@ def _on_member(
     bary = _values(m, p)
     number = dr.select(run & disk, leaf - s.first_group, 0)
     d = gather_packets(s.rows, 2 * number + 1, 8, run & disk)[4:]
-    inverse = dr.rcp(bary[0] + bary[1] + bary[2])
+    inverse = reciprocal(bary[0] + bary[1] + bary[2])
     u, v = _in_disk(bary[0] * inverse, bary[1] * inverse, [ty.Float(x) for x in d])
     return dr.select(disk, dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance, inside)
 
@@ -142,7 +142,7 @@ def _from_sides(
     """Return the parameters of hits from the values of their sides, what else finds them if not."""
     x, y, rest = _values(s.shared_section, sides) if s.shared_section else sides
     total = dr.select(hit, x + y + rest, 1.0)
-    scale = dr.rcp(total)
+    scale = reciprocal(total)
     u, v = x * scale, y * scale
     if s.shared_section:
         return u, v
@@ -264,7 +264,7 @@ def _barycentrics(
     m = gather_packets(s.rows, number, MEMBER if sectors else 12, active)
     bary = _values(m, p)
     total = ty.Float(bary[0] + bary[1] + bary[2])
-    inv = dr.rcp(dr.select(total == 0.0, 1.0, total))
+    inv = reciprocal(dr.select(total == 0.0, 1.0, total))
     b0, b1, b2 = (ty.Float(b) for b in bary)
     u, v = b0 * inv, b1 * inv
     if not sectors:

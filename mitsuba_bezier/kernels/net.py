@@ -7,6 +7,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
+from .arrays import reciprocal
 
 __all__ = ["graph_point", "horner", "horner_value"]
 
@@ -67,7 +68,7 @@ def graph_point(
     x, y, z = u + p[0], v + p[1], p[2]
     xu, xv, yu, yv, zu, zv = 1.0 + pu[0], pv[0], pu[1], 1.0 + pv[1], pu[2], pv[2]
     if len(p) == 4:
-        inv = dr.rcp(1.0 + p[3])
+        inv = reciprocal(1.0 + p[3])
         x, y, z = x * inv, y * inv, z * inv
         xu, xv = (xu - x * pu[3]) * inv, (xv - x * pv[3]) * inv
         yu, yv = (yu - y * pu[3]) * inv, (yv - y * pv[3]) * inv

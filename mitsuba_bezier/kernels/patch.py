@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from .arrays import gather_packets
+from .arrays import gather_packets, reciprocal
 
 __all__ = ["affine_partials", "bernstein_basis", "evaluate", "pack", "padded_width"]
 
@@ -86,7 +86,7 @@ def evaluate(
 
 def affine_partials(value: list[Any], d_du: list[Any], d_dv: list[Any]) -> tuple[list[Any], ...]:
     """Return the affine point and its true partials (quotient rule)."""
-    inv = dr.rcp(value[3])
+    inv = reciprocal(value[3])
     p = [value[a] * inv for a in range(3)]
     pu = [(d_du[a] - p[a] * d_du[3]) * inv for a in range(3)]
     pv = [(d_dv[a] - p[a] * d_dv[3]) * inv for a in range(3)]

@@ -6,7 +6,7 @@ from typing import Any
 
 import drjit as dr
 
-from .arrays import Types, dot3, gather_packets
+from .arrays import Types, dot3, gather_packets, inverse_root, reciprocal
 from .members import Roots, find_members, find_members_singly
 from .quadric_records import GROUP
 from .structure import Structure
@@ -32,7 +32,7 @@ def edge_tolerance(cosine: Any, across: Any = ACROSS) -> Any:
 
     `across` is by how much, in leaf sizes, the surface that was met may differ from the patch.
     """
-    return dr.minimum(EDGE_GRAZING, EDGE + across * dr.rcp(dr.maximum(cosine, 1e-12)))
+    return dr.minimum(EDGE_GRAZING, EDGE + across * reciprocal(dr.maximum(cosine, 1e-12)))
 
 
 def group_hit(
@@ -58,7 +58,7 @@ def group_hit(
     od = [f64(o[i]) - g[10 + i] for i in range(3)]
     # any point near the group will do, the exact nearest is not needed
     length2 = dot3(d, d)
-    t0 = f64(-dot3([o[i] - ty.Float(g[10 + i]) for i in range(3)], d) * dr.rcp(length2))
+    t0 = f64(-dot3([o[i] - ty.Float(g[10 + i]) for i in range(3)], d) * reciprocal(length2))
     p = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
     ax = dr.fma(a[0], p[0], dr.fma(a[3], p[1], dr.fma(a[4], p[2], a[6])))
     ay = dr.fma(a[3], p[0], dr.fma(a[1], p[1], dr.fma(a[5], p[2], a[7])))
@@ -98,7 +98,7 @@ def group_hit(
     gradient = [ty.Float(x) for x in (ax, ay, az)]
 
     def tolerance_for(gradient: list[Any]) -> Any:
-        cosine = root * dr.rsqrt(dot3(gradient, gradient) * length2)
+        cosine = root * inverse_root(dot3(gradient, gradient) * length2)
         return edge_tolerance(cosine, ty.Float(g[15]))
 
     tolerance1 = tolerance2 = tolerance_for(gradient)

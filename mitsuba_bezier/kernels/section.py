@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein, plane_inverse
-from .arrays import Types, dot3, gather_packets
+from .arrays import Types, dot3, gather_packets, reciprocal
 from .net import horner, horner_value
 from .quadric_records import MEMBER
 from .structure import Structure
@@ -69,7 +69,7 @@ def _newton(value: list[Any], by_u: list[Any], by_v: list[Any]) -> tuple[Any, An
     """Return the step to where the linear parts of two equations vanish, and the determinant."""
     (f, g), (fu, gu), (fv, gv) = value, by_u, by_v
     det = dr.fma(fu, gv, -fv * gu)
-    inv = dr.rcp(det)
+    inv = reciprocal(det)
     return dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv, det
 
 
@@ -94,12 +94,12 @@ def inverted_parameters(
     x, y, rest, side = (
         ty.Float(dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3]) for r in range(4)
     )
-    scale = dr.rcp(x + y + rest)
+    scale = reciprocal(x + y + rest)
     a, b = dr.fma(x, scale, -0.5), dr.fma(y, scale, -0.5)
     equations, degree = _equations(s, leaf, a, b, active)
 
     start = [dr.maximum(plane_inverse.LEAST_START, z) for z in (a + 0.5, b + 0.5, -a - b)]
-    scale = dr.rcp(start[0] + start[1] + start[2])
+    scale = reciprocal(start[0] + start[1] + start[2])
     u, v = dr.fma(start[0], scale, -1 / 3), dr.fma(start[1], scale, -1 / 3)
 
     def body(run, step, u, v, before, back_u, back_v, by_u, by_v, by_both):
@@ -115,7 +115,7 @@ def inverted_parameters(
         at_hand = dr.maximum(dr.abs(f), dr.abs(g)) < AT_HAND
         small = size * size * (area + known) < plane_inverse.LAST_STEP**2 * area  # false for NaN
         too_far = (det <= plane_inverse.LEAST_DROP * before) & ~at_hand
-        factor = dr.select(at_hand & ~small, 0.0, dr.minimum(1.0, dr.rcp(size)))
+        factor = dr.select(at_hand & ~small, 0.0, dr.minimum(1.0, reciprocal(size)))
         du = dr.select(too_far, -back_u, dr.select(factor > 0.0, factor * du, 0.0))
         dv = dr.select(too_far, -back_v, dr.select(factor > 0.0, factor * dv, 0.0))
         back_u = dr.select(too_far, back_u + back_u, plane_inverse.BACK * du)

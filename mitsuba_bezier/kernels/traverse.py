@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from ..geometry.tree import NO_LEAF
-from .arrays import Types, dot3, gather_packets, types_of
+from .arrays import Types, dot3, gather_packets, reciprocal, types_of
 from .chart import ChartLine, cull
 from .march import march
 from .quadric import group_hit
@@ -225,7 +225,7 @@ def finish(
     if s.has_graphs or s.has_inverted:  # or leaves are patches
         w = 1.0 - u - v
         bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
-        inv = dr.rcp(bary[0] + bary[1] + bary[2])
+        inv = reciprocal(bary[0] + bary[1] + bary[2])
         u, v = bary[0] * inv, bary[1] * inv
     return Hit(valid, t, patch, u, v)
 

@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry.trim_cells import CELL, HEAD, SLACK
-from .arrays import Types, gather_packets, types_of
+from .arrays import Types, gather_packets, reciprocal, types_of
 from .structure import DOMAIN, Structure
 from .trim_table import TrimTable
 
@@ -86,7 +86,7 @@ def leaf_test(s: Structure, leaf: Any) -> Any:
         u, v = ty.Float(u), ty.Float(v)
         w = 1.0 - u - v
         bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
-        inv = dr.rcp(bary[0] + bary[1] + bary[2])
+        inv = reciprocal(bary[0] + bary[1] + bary[2])
         return ~tested | keep(table, cell - 1, bary[0] * inv, bary[1] * inv, tested)
 
     return kept
@@ -145,5 +145,5 @@ def _evaluate(net: list[Any], n: int, x: Any) -> tuple[Any, Any]:
         while len(level) > 1:
             level = [dr.fma(x, q - p, p) for p, q in pairwise(level)]
         values.append(level[0])
-    inv = dr.rcp(values[2])
+    inv = reciprocal(values[2])
     return values[0] * inv, values[1] * inv

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry.tree import NO_LEAF
-from .arrays import Types, gather_packets
+from .arrays import Types, gather_packets, reciprocal
 from .nodes import AXIS, FACE, INNER, NODE, SCALE, STEPS, TURN, Nodes
 
 __all__ = [
@@ -68,7 +68,7 @@ def prepare(ty: Types, o: list[Any], d: list[Any]) -> Slabs:
     """Return what slab tests need of rays."""
     # finite reciprocals: zero times infinity would turn a slab into NaN
     tiny = ty.Float(1.0 / _LARGEST)
-    rcp = [dr.rcp(dr.select(dr.abs(c) > tiny, c, dr.select(c < 0.0, -tiny, tiny))) for c in d]
+    rcp = [reciprocal(dr.select(dr.abs(c) > tiny, c, dr.select(c < 0.0, -tiny, tiny))) for c in d]
     rcp_far = [r * _GROW for r in rcp]
     near = [-dr.fma(dr.abs(o[a] * rcp[a]), _ROUNDING, o[a] * rcp[a]) for a in range(3)]
     far = [dr.fma(dr.abs(o[a] * rcp_far[a]), _ROUNDING, -o[a] * rcp_far[a]) for a in range(3)]
