@@ -27,5 +27,7 @@ SHARES = {"cornell": 0.98, "media": 0.99, "quadrics": 0.99, "sphere": 0.99}
 def test_scene_is_as_it_was(render_regression: Any, name: str) -> None:
     mb.register()
     mi.set_variant("llvm_ad_rgb")
-    scene = mi.load_file(str(SCENES / f"{name}.xml"), width="48", height="32")
+    # meshes in the order of the file: with another the same seeds give another image
+    path = str(SCENES / f"{name}.xml")
+    scene = mi.load_file(path, optimize=False, width="48", height="32")
     render_regression(scene, name, spp=64, z_share=SHARES.get(name, 0.9975))

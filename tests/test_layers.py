@@ -19,6 +19,7 @@ LAYERS = {
     "_version": 0,
     "_llvm": 1,
     "_runtime": 2,
+    "_loading": 2,
     "geometry": 10,
     "io": 20,
     "kernels": 20,

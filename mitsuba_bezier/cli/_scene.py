@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .. import _loading
 from .._runtime import import_mitsuba
 from ..errors import FileFormatError
 
@@ -74,13 +75,8 @@ def load(
     path = Path(path)
     if not path.is_file():
         raise FileFormatError.expected("SCENE", "an existing scene file (.xml)", f"{path}")
-    config = mi.parser.ParserConfig(variant)
-    before = mi.file_resolver()
-    resolver = mi.FileResolver(before)
-    for folder in (path.resolve().parent, *reversed(search_paths)):
-        resolver.prepend(str(folder))
-    mi.set_file_resolver(resolver)
-    try:
+    config = _loading.parser_config(mi, variant)
+    with _loading.relative_to(mi, path, search_paths):
         state = _guarded(path, mi.parser.parse_file, config, str(path), **(defines or {}))
         _guarded(path, mi.parser.transform_all, config, state)
         name, notes = _choose_integrator(mi, state)
@@ -89,8 +85,6 @@ def load(
         if not isinstance(scene, mi.Scene):
             raise FileFormatError.expected("SCENE", "a file whose root is <scene>", f"{path}")
         integrator = scene.integrator() or mi.load_dict({"type": name})
-    finally:
-        mi.set_file_resolver(before)
     return Loaded(scene, integrator, name, tuple(notes))
 
 

@@ -271,6 +271,7 @@ class _Shot:
     """A scene, seen by one of its sensors, ready to be rendered."""
 
     def __init__(self, scene: Any, spp: int | None, sensor: int, integrator: Any) -> None:
+        from .. import _loading
         from .._runtime import import_mitsuba
         from ..errors import BezierError, FileFormatError, VariantError
 
@@ -282,9 +283,9 @@ class _Shot:
         if isinstance(scene, (str, Path)):
             if not Path(scene).is_file():
                 raise FileFormatError.expected("scene", "an existing file", f"{scene}")
-            scene = mi.load_file(str(scene))
+            scene = _loading.load_file(mi, scene)
         elif isinstance(scene, dict):
-            scene = mi.load_dict(scene)
+            scene = _loading.load_dict(mi, scene)
         if not isinstance(scene, mi.Scene):
             raise BezierError.expected(
                 "scene", "a Mitsuba scene, dict or XML file", type(scene).__name__
