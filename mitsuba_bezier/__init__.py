@@ -6,11 +6,15 @@ Importing this package, before or after ``mi.set_variant``, registers the shape
 
 from __future__ import annotations
 
-from typing import Any
+from . import _children
 
-from . import _runtime
-from ._version import __version__
-from .errors import (
+_children.leave_current_folder()  # before anything else is imported
+
+from typing import Any  # noqa: E402
+
+from . import _runtime  # noqa: E402
+from ._version import __version__  # noqa: E402
+from .errors import (  # noqa: E402
     BezierError,
     FileFormatError,
     GeometryError,

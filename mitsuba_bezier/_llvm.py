@@ -19,6 +19,8 @@ from glob import glob
 from importlib import metadata
 from pathlib import Path
 
+from ._children import program
+
 __all__ = ["MINIMUM", "WHEELS", "Library", "find", "install_command", "load_error", "preload"]
 
 #: LLVM 14 is refused by Dr.Jit; 15 and 16 abort the process at the first minimum or maximum
@@ -78,6 +80,8 @@ def preload(path: str) -> None:
     interpreter. A library that is already loaded is found by its internal name instead.
     They are loaded without making their symbols global: Mitsuba has another C++ runtime.
     """
+    if not os.path.isabs(path):  # a bare name: beside it would be in the current folder
+        return
     folder = Path(path).parent
     for name in ("libunwind.so.1.0", "libc++abi.so.1.0", "libc++.so.1.0"):
         for file in folder.glob(f"*-unknown-linux-gnu/{name}"):
@@ -138,9 +142,9 @@ def _system() -> Iterator[Library]:
 def _from_linker_cache() -> list[str]:
     if sys.platform != "linux":
         return []
-    for program in ("/sbin/ldconfig", "/usr/sbin/ldconfig", "ldconfig"):
+    for path in ("/sbin/ldconfig", "/usr/sbin/ldconfig", program("ldconfig") or ""):
         with contextlib.suppress(OSError, subprocess.SubprocessError):
-            out = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=10)
+            out = subprocess.run([path, "-p"], capture_output=True, text=True, timeout=10)
             return re.findall(r"=> (\S*/libLLVM\S*)", out.stdout)
     return []
 

@@ -42,7 +42,7 @@ class Chromium:
         )
         self._process = subprocess.Popen(
             [
-                *(sys.executable, "-c", start, *map(str, ends)),
+                *(sys.executable, "-I", "-c", start, *map(str, ends)),
                 *(program, "--headless=new", "--remote-debugging-pipe", "--no-sandbox"),
                 *("--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
                 *("--disable-background-networking", "--disable-component-update"),

@@ -8,13 +8,21 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ("conventions.md", "inverse.md", "lecture.md", "media.md", "verification.md")
+PAGES = (
+    "conventions.md",
+    "inverse.md",
+    "lecture.md",
+    "media.md",
+    "security.md",
+    "verification.md",
+)
 #: How many blocks of Python they have at least, so that the pattern still finds them.
 BLOCKS = {
     "conventions.md": 5,
     "inverse.md": 1,
     "lecture.md": 5,
     "media.md": 1,
+    "security.md": 0,
     "verification.md": 0,
 }
 

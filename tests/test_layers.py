@@ -17,6 +17,7 @@ MODULES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py"
 LAYERS = {
     "errors": 0,
     "_version": 0,
+    "_children": 0,
     "_llvm": 1,
     "_runtime": 2,
     "_loading": 2,

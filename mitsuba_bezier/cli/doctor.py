@@ -15,6 +15,7 @@ from importlib import import_module, metadata
 from typing import Any
 
 from .. import _llvm, _runtime
+from .._children import program, python_command
 from .._version import __version__
 from ..errors import RuntimeSetupError
 
@@ -166,7 +167,11 @@ def _gpu() -> str | None:
     dr = import_module("drjit")
     if not dr.has_backend(dr.JitBackend.CUDA):
         return None
-    query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    query = [
+        program("nvidia-smi") or "",
+        "--query-gpu=name,driver_version",
+        "--format=csv,noheader",
+    ]
     try:
         name = subprocess.run(query, capture_output=True, text=True, timeout=30).stdout.strip()
     except (OSError, subprocess.SubprocessError):
@@ -194,7 +199,7 @@ def _try(variant: str, timeout: float) -> str:
         environment.pop(_runtime.VARIABLE, None)
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _TRIAL, variant],
+            python_command(_TRIAL, variant),
             capture_output=True,
             text=True,
             timeout=timeout,

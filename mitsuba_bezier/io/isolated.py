@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .._children import python_command
 from ..errors import BezierError, FileFormatError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
@@ -56,13 +57,10 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
     limit = int(TIME_LIMIT + size / 10_000)
     with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
         out = Path(folder) / "model.npz"
-        command = [sys.executable, "-c", f"import {__name__} as i; i.work()"]
         arguments = [module, str(path), str(out), str(_MEMORY + 100 * size), str(int(trims))]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
         try:
             done = subprocess.run(
-                [*command, *arguments],
-                env=environment,
+                python_command(f"import {__name__} as i; i.work()", *arguments),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
