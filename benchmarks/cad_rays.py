@@ -55,7 +55,7 @@ def compare(path: Path, part: Any, count: int) -> list[str]:
 
     start = time.process_time()
     shape = mi.load_dict({"type": "beziertriangle", "filename": str(path)})
-    boxes = shape.patches.bounds()
+    boxes = shape.patches.hulls()
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     size = float(np.linalg.norm(high - low))
     o, d = rays(low, high, count)

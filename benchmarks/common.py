@@ -110,7 +110,7 @@ def to_rays(o: np.ndarray, d: np.ndarray) -> Any:
 
 def into_view(patches: mb.BezierTriangles) -> mb.BezierTriangles:
     """Move and scale patches so that they fill the frame of `camera_rays`, 2.4 wide."""
-    box = patches.bounds()
+    box = patches.hulls()
     low, high = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
     scale = 2.4 / float((high - low).max())
     matrix = np.diag([scale, scale, scale, 1.0])

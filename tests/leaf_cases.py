@@ -47,7 +47,7 @@ def columns(*arrays: np.ndarray) -> list[Any]:
 def rays(patches: mb.BezierTriangles, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return rays at points of patches, near their edges too, and at some beside them."""
     rng = np.random.default_rng(1)
-    box = patches.bounds()
+    box = patches.hulls()
     middle, size = box.mean(axis=(0, 1)), np.ptp(box, axis=(0, 1)).max()
     uv = rng.dirichlet([0.5, 0.5, 0.5], count)[:, :2]
     target = patches.points(rng.integers(0, len(patches), count), uv)

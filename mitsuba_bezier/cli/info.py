@@ -29,6 +29,8 @@ def examine(model: Model) -> dict[str, Any]:
     """Return the facts about a model as plain numbers, lists and strings."""
     import numpy as np
 
+    from ..geometry.boxes import reaches_infinity, surface_boxes
+
     report = model.report
     groups = []
     parts = model.trims or [None] * len(model.groups)
@@ -41,12 +43,13 @@ def examine(model: Model) -> dict[str, Any]:
                 "patches": len(group),
                 "polynomial": int((weight == weight[:, :1]).all(axis=1).sum()),
                 "weights": [float(weight.min()), float(weight.max())],
+                "reach_infinity": int(reaches_infinity(net).sum()),
                 "at_infinity": int(((weight == 0) & net.any(axis=-1)).sum()),
                 "negative_weights": int((weight < 0).sum()),
                 "trimmed": 0 if trims is None else int((trims.region >= 0).sum()),
             }
         )
-    bounds = np.concatenate([group.bounds() for group in model.groups])
+    bounds = np.concatenate([surface_boxes(g.control_points, together=True) for g in model.groups])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
     return {
         "file": report.path,
@@ -57,7 +60,7 @@ def examine(model: Model) -> dict[str, Any]:
         "notes": report.notes,
         "remarks": report.remarks,
         "patches": groups,
-        # of the control points: the surface lies inside; None where it reaches infinity
+        # of the surface, before trims, up to a thousandth; None where it reaches infinity
         "bounds": [[x if np.isfinite(x) else None for x in side.tolist()] for side in (low, high)],
     }
 
@@ -83,9 +86,11 @@ def run(args: argparse.Namespace) -> int:
                 weights += f", {group['negative_weights']} negative"
         if group["trimmed"]:
             weights += f", {group['trimmed']} with trims"
+        if group["reach_infinity"]:
+            weights += f", {group['reach_infinity']} reach infinity"
         print(f"  patches     {group['patches']} of degree {group['degree']}, {weights}")
-    for name, side in zip(("from", "to"), found["bounds"]):
-        numbers = ", ".join("infinity" if x is None else f"{x:.6g}" for x in side)
+    for name, side, infinity in zip(("from", "to"), found["bounds"], ("-infinity", "infinity")):
+        numbers = ", ".join(infinity if x is None else f"{x:.6g}" for x in side)
         print(f"  bounds {name:4} ({numbers})")
     for refusal in found["refused"]:
         count = f"{refusal['count']} x " if refusal["count"] > 1 else ""

@@ -331,7 +331,7 @@ def _fit_charts(
         frame=frame,
         form=form,
         net=bernstein.monomial_matrix(n) @ deviation,
-        box=BezierTriangles(nets).bounds(),
+        box=BezierTriangles(nets).hulls(),
         certified=good.copy(),
         group=np.full(len(nets), -1),
     )

@@ -27,7 +27,7 @@ _SINGULAR, _AT_APEX = 1e-5, 1e-4
 
 def centre_and_size(patches: BezierTriangles) -> tuple[np.ndarray, np.ndarray]:
     """Return a finite float32 point near each patch and its size; the box tells both."""
-    box = patches.bounds()
+    box = patches.hulls()
     lo, hi = box[:, 0], box[:, 1]
     lo_finite, hi_finite = np.isfinite(lo), np.isfinite(hi)
     lo = np.where(lo_finite, lo, np.where(hi_finite, hi, 0.0))

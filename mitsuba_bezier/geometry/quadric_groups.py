@@ -71,7 +71,7 @@ def _tight_boxes(patches: BezierTriangles) -> np.ndarray:
     for first in range(0, len(nets), _CHUNK):
         chunk = slice(first, first + _CHUNK)
         fine = BezierTriangles((split @ nets[chunk]).reshape(-1, *nets.shape[1:]))
-        parts = fine.bounds().reshape(len(nets[chunk]), -1, 2, 3)
+        parts = fine.hulls().reshape(len(nets[chunk]), -1, 2, 3)
         box[chunk, 0], box[chunk, 1] = parts[:, :, 0].min(axis=1), parts[:, :, 1].max(axis=1)
     return box
 

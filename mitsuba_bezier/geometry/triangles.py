@@ -10,6 +10,8 @@ import numpy as np
 
 from ..errors import NetError
 from . import bernstein
+from .areas import patch_areas
+from .boxes import hull_boxes, surface_boxes
 
 __all__ = ["BezierTriangles", "Differential"]
 
@@ -304,59 +306,28 @@ class BezierTriangles:
     # ------------------------------------------------------------------ measures
 
     def bounds(self) -> np.ndarray:
-        """Return axis-aligned boxes ``(P, 2, 3)``: lower and upper corner.
+        """Return axis-aligned boxes of the patches ``(P, 2, 3)``: lower and upper corner.
 
-        The affine hull property needs weights of one sign; a control vector opens the box
-        to infinity on its side. A net whose weights change sign has the whole space as box
-        (subdivide first for something tighter).
+        They hold the surface, whatever its weights, and are larger by at most a thousandth of
+        its size. Sides where a patch reaches infinity are infinite. `hulls` is quicker.
         """
-        w = self._net[..., 3]
-        if ((w > 0).all(axis=1) | (w < 0).all(axis=1)).all():
-            p = self._net[..., :3] / w[..., None]
-            return np.stack([p.min(axis=1), p.max(axis=1)], axis=1)
-        sign = np.where((w >= 0).all(axis=1), 1.0, np.where((w <= 0).all(axis=1), -1.0, 0.0))
-        net = self._net * np.where(sign == 0, 1.0, sign)[:, None, None]
-        w = net[..., 3]
-        finite = w > 0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            p = np.where(finite[..., None], net[..., :3] / w[..., None], np.nan)
-        vector = np.where(finite[..., None], 0.0, net[..., :3])
-        lo = np.where(finite[..., None], p, np.inf).min(axis=1)
-        hi = np.where(finite[..., None], p, -np.inf).max(axis=1)
-        lo = np.where((vector < 0).any(axis=1), -np.inf, lo)
-        hi = np.where((vector > 0).any(axis=1), np.inf, hi)
-        unbounded = (sign == 0) | ~finite.any(axis=1)
-        lo[unbounded], hi[unbounded] = -np.inf, np.inf
-        return np.stack([lo, hi], axis=1)
+        return surface_boxes(self._net)
+
+    def hulls(self) -> np.ndarray:
+        """Return the boxes of the control points ``(P, 2, 3)``: lower and upper corner.
+
+        They hold the surface where weights have one sign; a control vector opens the box to
+        infinity on its side. A net whose weights change sign has the whole space as box.
+        """
+        return hull_boxes(self._net)
 
     def area(self, tolerance: float = 1e-10) -> np.ndarray:
-        """Return the area of each patch ``(P,)``.
+        """Return the area of each patch ``(P,)``, infinite if it reaches infinity.
 
-        Gauss-Legendre on the triangle collapsed to the square, on ever finer midpoint
-        splits until two levels agree to `tolerance` relative.
+        Gauss-Legendre on the triangle collapsed to the square, on midpoint splits: each part is
+        split until it and its four parts agree to `tolerance` of the patch, at most eight times.
         """
-        nodes, gauss = np.polynomial.legendre.leggauss(12)
-        nodes, gauss = (nodes + 1) / 2, gauss / 2
-        s, t = np.meshgrid(nodes, nodes, indexing="ij")
-        uv = np.stack([s, (1 - s) * t], axis=-1).reshape(-1, 2)
-        weight = (np.outer(gauss * (1 - nodes), gauss)).reshape(-1)
-
-        def once(nets: BezierTriangles) -> np.ndarray:
-            count = len(nets)
-            d = nets.differential(np.repeat(np.arange(count), len(uv)), np.tile(uv, (count, 1)))
-            length = np.linalg.norm(np.cross(d.dp_du, d.dp_dv), axis=1)
-            return length.reshape(count, -1) @ weight
-
-        nets: BezierTriangles = self
-        value = once(nets)
-        for level in range(1, 6):
-            nets = nets.split()
-            finer = once(nets).reshape(len(self), 4**level).sum(axis=1)
-            done = np.abs(finer - value) <= tolerance * np.abs(finer)
-            value = finer
-            if done.all():
-                break
-        return value
+        return patch_areas(self._net, tolerance)
 
     def tessellate(self, resolution: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh: vertices ``(V, 3)`` and faces ``(F, 3)``.

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError, FileFormatError
+from ..geometry.boxes import finite_parts, reaches_infinity
 from ..geometry.leaves import Leaves
 from ..geometry.triangles import BezierTriangles
 from ..kernels.arrays import upload
@@ -75,17 +76,18 @@ def _load(path: str) -> np.ndarray:
 
 
 def copy_boxes(patches: BezierTriangles, matrices: np.ndarray) -> np.ndarray:
-    """Return boxes ``(N, 2, 3)`` around copies of patches, those of their control points.
+    """Return boxes ``(N, 2, 3)`` around copies of patches.
+
+    They are those of the control points of parts whose weights have one sign.
 
     Raises
     ------
     BezierError
         If the patches run to infinity.
     """
-    box = patches.bounds()
-    if not np.isfinite(box).all():
+    if reaches_infinity(patches.control_points).any():
         raise BezierError.expected("copies", "patches of finite size", "points at infinity")
-    net = patches.control_points.reshape(-1, 4)
+    net = finite_parts(patches.control_points)[0].reshape(-1, 4)
     points = net[:, :3] / net[:, 3:]
     # the extreme points in some directions, and the boxes of patches, would do; all are few
     out = np.empty((len(matrices), 2, 3))

@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import _runtime
 from ..errors import BezierError, NetError
+from ..geometry.boxes import surface_boxes
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
@@ -23,6 +24,7 @@ from .surface_sampling import direction_sample
 
 __all__ = ["make_shape_class"]
 
+_INF = np.float32(np.inf)
 _versions = itertools.count(1)
 
 
@@ -183,11 +185,14 @@ def make_shape_class() -> type:
             since without them a textured emitter is an error as soon as Dr.Jit records a call of
             any emitter, even one that is masked.
             """
-            corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
+            rounded = box.astype(np.float32)  # outwards: the surface is inside
+            rounded[0] = np.where(rounded[0] > box[0], np.nextafter(rounded[0], -_INF), rounded[0])
+            rounded[1] = np.where(rounded[1] < box[1], np.nextafter(rounded[1], _INF), rounded[1])
+            corners = np.stack(np.meshgrid(*rounded.T, indexing="ij"), axis=-1).reshape(-1, 3)
             self._plain_mesh = True
             try:
                 params = mi.traverse(self)
-                params["vertex_positions"] = mi.Float(corners.ravel().astype(np.float32))
+                params["vertex_positions"] = mi.Float(corners.ravel())
                 params["vertex_texcoords"] = mi.Float([0.0] * 16)
                 params["faces"] = mi.UInt32([0, 0, 0])
                 params.update()
@@ -397,15 +402,13 @@ def make_shape_class() -> type:
 
 def finite_bounds(patches: BezierTriangles) -> np.ndarray:
     """Return one box ``(2, 3)``, of the finite control points where patches run to infinity."""
-    box = patches.bounds()
-    lo, hi = box[:, 0], box[:, 1]
-    if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
+    box = surface_boxes(patches.control_points, together=True)[0]
+    if not np.isfinite(box).all():
         net = patches.control_points.reshape(-1, 4)
         net = net[net[:, 3] != 0]
         points = net[:, :3] / net[:, 3:] if len(net) else np.array([[-1.0] * 3, [1.0] * 3])
-        lo = np.where(np.isfinite(lo), lo, points.min(axis=0))
-        hi = np.where(np.isfinite(hi), hi, points.max(axis=0))
-    return np.stack([lo.min(axis=0), hi.max(axis=0)])
+        box = np.where(np.isfinite(box), box, [points.min(axis=0), points.max(axis=0)])
+    return box
 
 
 def _tensor(values: np.ndarray) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.bernstein import multi_indices
+from ..geometry.boxes import reaches_infinity
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
@@ -16,17 +17,8 @@ _LEVELS = 5
 
 
 def is_bounded(patches: BezierTriangles) -> bool:
-    """Tell whether the surface is bounded.
-
-    It is where all weights of a patch have one sign. Patches whose weights have not are divided
-    up to six times: a point at infinity stays in one of the parts.
-    """
-    for _level in range(7):
-        unbounded = ~np.isfinite(patches.bounds()).all(axis=(1, 2))
-        if not unbounded.any():
-            return True
-        patches = patches[unbounded].split()
-    return False
+    """Tell whether no patch reaches infinity."""
+    return not reaches_infinity(patches.control_points).any()
 
 
 def left_of_cells(trims: Trims, patch: np.ndarray, corners: np.ndarray) -> np.ndarray:
