@@ -23,6 +23,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from mitsuba_bezier._files import write_file
+
 #: Rays this near the silhouette, relative to the radius, may go either way.
 BAND = 2e-6
 
@@ -108,8 +110,8 @@ def main() -> None:
     about = machine()
     console.print(", ".join(f"{k} {v}" for k, v in about.items() if v is not None))
     if arguments.json:
-        with open(arguments.json, "w", encoding="utf-8") as file:
-            json.dump({"machine": about, "rows": rows}, file, indent=1)
+        text = json.dumps({"machine": about, "rows": rows}, indent=1)
+        write_file(arguments.json, text.encode())
 
 
 if __name__ == "__main__":

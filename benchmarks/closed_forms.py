@@ -28,6 +28,7 @@ import mitsuba as mi
 import numpy as np
 from common import camera_rays, into_view, machine, random_rays, set_variant, time_in_turns
 
+from mitsuba_bezier._files import write_file
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import LeafSettings
 from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
@@ -120,7 +121,7 @@ def main(arguments: list[str] | None = None) -> None:
     Console(width=140).print(table)
     if options.json:
         found = {"machine": machine(), "rows": rows}
-        options.json.write_text(json.dumps(found, indent=1))
+        write_file(options.json, json.dumps(found, indent=1).encode())
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ import numpy as np
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import io
+from mitsuba_bezier._files import write_file
 
 
 def model(count: int, degree: int) -> mb.BezierTriangles:
@@ -108,7 +109,7 @@ def main() -> None:
         f"build: memory      {build['peak_MB']:.0f} MB at most, {build['before_MB']:.0f} MB before"
     )
     if args.json:
-        args.json.write_text(json.dumps(out, indent=2))
+        write_file(args.json, json.dumps(out, indent=2).encode())
 
 
 if __name__ == "__main__":

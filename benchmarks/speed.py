@@ -23,6 +23,8 @@ import mitsuba_bezier as mb  # before Dr.Jit: chooses its LLVM
 from common import Options, machine, set_variant
 from speed_report import markdown, print_sections, update_blocks
 
+from mitsuba_bezier._files import write_file
+
 #: Tables: module, function that measures, function that lays out.
 TABLES = {
     "rays": ("speed_rays", "measure", "sections"),
@@ -92,7 +94,7 @@ def measure(args: argparse.Namespace) -> dict[str, Any]:
         tables[name] = getattr(import_module(module), function)(options)
         seconds[name] = round(time.perf_counter() - start, 1)
         if args.json:  # after each table, so that nothing measured is lost
-            args.json.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+            write_file(args.json, (json.dumps(data, indent=1) + "\n").encode())
     return data
 
 

@@ -11,6 +11,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from mitsuba_bezier._files import write_file
+
 __all__ = ["Section", "judged", "markdown", "print_sections", "short", "update_blocks"]
 
 
@@ -77,4 +79,4 @@ def update_blocks(path: Path, blocks: dict[str, str]) -> None:
         text, count = place.subn(lambda _match, new=new: new, text)
         if count != 1:
             raise SystemExit(f"{path}: expected one place for the table {name}, got {count}")
-    path.write_text(text, encoding="utf-8")
+    write_file(path, text.encode())

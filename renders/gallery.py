@@ -13,12 +13,13 @@ from __future__ import annotations
 import argparse
 import html
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from mitsuba_bezier._files import write_file
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -89,7 +90,8 @@ def make(picture: Picture) -> None:
         words[words.index("-o") + 1] = str(Path(folder) / f"{picture.name}.exr")
         mitsuba_bezier(*words)
         mitsuba_bezier(*picture.reference())  # writes a PNG of its own size, too
-        shutil.move(Path(folder) / f"{picture.name}.png", HERE / f"{picture.name}.png")
+        png = (Path(folder) / f"{picture.name}.png").read_bytes()
+        write_file(HERE / f"{picture.name}.png", png)
 
 
 def there() -> list[Picture]:
@@ -174,8 +176,8 @@ def main() -> None:
         if not args.names:
             words = ["--resolution", "1024", "--html", "renders/verification.html"]
             mitsuba_bezier("verify", *words, "--html-size", "160")
-    (HERE / "index.html").write_text(index(), encoding="utf-8")
-    (HERE / "README.md").write_text(readme(), encoding="utf-8")
+    write_file(HERE / "index.html", index().encode())
+    write_file(HERE / "README.md", readme().encode())
 
 
 if __name__ == "__main__":

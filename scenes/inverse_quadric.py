@@ -25,6 +25,9 @@ import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip
 import numpy as np
 
+from mitsuba_bezier._files import write_file
+from mitsuba_bezier.verification import png
+
 KEY = "surface.control_points"
 CORNERS, MIDDLE = [0, 3, 5], [1, 2, 4]
 ENDS = {1: (0, 3), 2: (0, 5), 4: (3, 5)}
@@ -249,7 +252,7 @@ def write_plot(name: Path, curves: dict[str, list[float]]) -> None:
             f'<text x="{width - 20}" y="{28 + 16 * k}" text-anchor="end" fill="{colour}">'
             f"{label}</text>"
         )
-    name.write_text("\n".join([*lines, "</svg>\n"]))
+    write_file(name, "\n".join([*lines, "</svg>\n"]).encode())
 
 
 def write_pictures(name: Path, nets: list[np.ndarray]) -> None:
@@ -260,7 +263,8 @@ def write_pictures(name: Path, nets: list[np.ndarray]) -> None:
         pictures = render(scene_of(net, 128), exact, 64, 0)
         rows.append(np.concatenate([np.array(p) for p in pictures], axis=1))
     image = mi.Bitmap(np.concatenate(rows).astype(np.float32))
-    mi.util.write_bitmap(str(name), image, write_async=False)
+    shown = image.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
+    write_file(name, png.encode(np.array(shown)))
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from lecture_tools import TRACK, boxes, prism, segment, tube
 
 import mitsuba_bezier as mb
+from mitsuba_bezier._files import write_file
 from mitsuba_bezier.geometry import plane_shapes, shapes
 from mitsuba_bezier.geometry.curves import BezierCurve
 from mitsuba_bezier.geometry.developable import DevelopableSurface
@@ -292,7 +293,7 @@ def table() -> BezierTriangles:
 def write_tubes(name: str, tubes: Iterable[np.ndarray]) -> None:
     """Write tubes as a file of Mitsuba's ``bsplinecurve``."""
     lines = ["\n".join(" ".join(f"{x:.7g}" for x in row) for row in t) for t in tubes]
-    (FOLDER / f"{name}.txt").write_text("\n\n".join(lines) + "\n")
+    write_file(FOLDER / f"{name}.txt", ("\n\n".join(lines) + "\n").encode())
 
 
 def models() -> dict[str, dict[str, BezierTriangles]]:

@@ -17,7 +17,6 @@ import pytest
 import mitsuba_bezier as mb
 from mitsuba_bezier import _runtime
 from mitsuba_bezier.cli import _images, _passes, main
-from mitsuba_bezier.verification.files import replacing
 
 INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>'
 BEZIER = '<shape type="beziertriangle"><string name="filename" value="{}"/><ref id="gray"/></shape>'
@@ -209,21 +208,6 @@ def test_monochrome(folder):
     assert render("ball.xml", "-q", "--spp", "4", "-m", "llvm_ad_mono") == 0
     assert header("ball.exr")["variant"] == "llvm_ad_mono"
     assert (folder / "ball.png").exists()
-
-
-def test_an_old_file_stays_if_writing_fails(tmp_path):
-    path = tmp_path / "a.exr"
-    path.write_text("old")
-    with pytest.raises(mb.FileFormatError), replacing(path) as temporary:
-        assert temporary.parent == tmp_path  # a rename cannot leave the file system
-        temporary.write_text("half of a new one")
-        raise OSError("disk full")
-    assert path.read_text() == "old"
-    assert os.listdir(tmp_path) == ["a.exr"]
-    with replacing(path) as temporary:
-        temporary.write_text("new")
-    assert path.read_text() == "new"
-    assert os.listdir(tmp_path) == ["a.exr"]
 
 
 # ---------------------------------------------------------------- options

@@ -8,35 +8,41 @@ from typing import Any
 
 import numpy as np
 
+from .._files import check_target, write_file
 from .._runtime import import_mitsuba
-from ..errors import BezierError, FileFormatError
-from ..verification.files import replacing
+from ..errors import FileFormatError
+from ..verification import png
 
 __all__ = ["channels_of", "check_output", "write_preview"]
 
 
-def check_output(path: Path, parameter: str = "--output") -> None:
+def check_output(path: str | Path, parameter: str = "--output", preview: bool = True) -> Path:
     """Make sure, before any work, that an EXR and its preview can be written at `path`.
+
+    Returns
+    -------
+    Path
+        The same.
 
     Raises
     ------
     FileFormatError
-        If the suffix is not ``.exr``.
-    BezierError
-        If the folder does not exist or cannot be written to, or a folder has that name.
+        If the suffix is not ``.exr``, or a file cannot be written there (see `check_target`).
     """
+    name = os.fspath(path)
+    if not name:
+        raise FileFormatError.expected(parameter, "the name of a file", "an empty one")
+    try:
+        os.fsencode(name).decode("utf-8")
+    except UnicodeDecodeError:
+        raise FileFormatError.expected(parameter, "a name in UTF-8", repr(name)) from None
+    path = Path(path)
     if path.suffix.lower() != ".exr":
-        raise FileFormatError.expected(
-            parameter, "a name that ends in .exr (a .png preview is written beside it)", f"{path}"
-        )
-    folder = path.parent
-    if not folder.is_dir():
-        raise BezierError.expected(parameter, "a folder that exists", f"{folder}")
-    if not os.access(folder, os.W_OK):
-        raise BezierError.expected(parameter, "a folder that can be written to", f"{folder}")
-    for file in (path, path.with_suffix(".png")):
-        if file.is_dir():
-            raise BezierError.expected(parameter, "the name of a file", f"the folder {file}")
+        beside = " (a .png preview is written beside it)" if preview else ""
+        raise FileFormatError.expected(parameter, f"a name that ends in .exr{beside}", f"{path}")
+    for file in (path, path.with_suffix(".png")) if preview else (path,):
+        check_target(file, parameter)
+    return path
 
 
 def channels_of(bitmap: Any, half: bool) -> dict[str, np.ndarray]:
@@ -93,6 +99,5 @@ def write_preview(path: Path, bitmap: Any, exposure: float = 0.0) -> bool:
     colour = bitmap.convert(formats.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
     pixels = np.nan_to_num(np.array(colour)) * np.float32(2.0**exposure)
     shown = mi.Bitmap(pixels).convert(formats.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
-    with replacing(path) as temporary:
-        shown.write(str(temporary))
+    write_file(path, png.encode(np.array(shown)), make_folders=True)
     return True

@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(outcome, indent=2, ensure_ascii=False))
     else:
         if args.json:
-            _write_json(Path(args.json), outcome)
+            _write_json(args.json, outcome)
         _print(outcome)
         if args.html:
             print(f"report: {args.html}")
@@ -125,12 +125,12 @@ def _repeat(args: argparse.Namespace, name: str) -> str:
     return shlex.join(words)
 
 
-def _write_json(path: Path, outcome: list[dict[str, Any]]) -> None:
-    from ..verification.files import replacing
+def _write_json(path: str, outcome: list[dict[str, Any]]) -> None:
+    from .._files import write_file
 
-    with replacing(path) as temporary:
-        text = json.dumps(outcome, indent=2, ensure_ascii=False) + "\n"
-        temporary.write_text(text, encoding="utf-8")
+    text = json.dumps(outcome, indent=2, ensure_ascii=False) + "\n"
+    # a file name may hold bytes that are no text; JSON has the same escape for them
+    write_file(path, text.encode("utf-8", "backslashreplace"), make_folders=True)
 
 
 def _print(outcome: list[dict[str, Any]]) -> None:

@@ -210,8 +210,8 @@ def _print(console: Any, verdicts: Sequence[Verdict]) -> None:
 
 
 def _write(path: str, verdicts: Sequence[Verdict], args: argparse.Namespace) -> None:
+    from .._files import write_file
     from .._version import __version__
-    from ..verification.files import replacing
     from ..verification.verify import LIMITS
 
     mi = import_mitsuba()
@@ -227,5 +227,4 @@ def _write(path: str, verdicts: Sequence[Verdict], args: argparse.Namespace) -> 
     if path == "-":
         print(text, end="")
         return
-    with replacing(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
-        file.write(text)
+    write_file(path, text.encode(), make_folders=True)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 from os import PathLike
 from pathlib import Path
 
+from .._files import write_file
 from ..errors import FileFormatError
 
 __all__ = ["damaged", "read_bytes", "read_text", "write_bytes"]
@@ -85,21 +84,10 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
     FileFormatError
         If the folder does not exist or cannot be written to.
     """
-    path = Path(path)
-    if not path.parent.is_dir():
+    if not Path(path).parent.is_dir():
         raise FileFormatError.expected(
-            "path", "a file in a folder that exists", f"{str(path)!r}: no folder {path.parent}"
+            "path",
+            "a file in a folder that exists",
+            f"{str(path)!r}: no folder {Path(path).parent}",
         )
-    if path.is_dir():
-        raise FileFormatError.expected("path", "the name of a file", f"the folder {str(path)!r}")
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        with open(temporary, "xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FileFormatError.expected("path", "a place that can be written to", error) from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_file(path, data, "path")

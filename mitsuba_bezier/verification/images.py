@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import struct
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,11 +22,11 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
+from .._files import encoded, write_file
 from ..errors import FileFormatError
 from . import png
-from .files import replacing
 
-__all__ = ["SUFFIXES", "Image", "group_layers", "read_image", "write_exr"]
+__all__ = ["SUFFIXES", "Image", "encode_exr", "group_layers", "read_image", "write_exr"]
 
 SUFFIXES = (".exr", ".png")
 _COLOR = ("R", "G", "B", "Y", "RY", "BY")
@@ -184,7 +185,7 @@ def write_exr(
     offset: tuple[int, int] = (0, 0),
     full_size: tuple[int, int] | None = None,
 ) -> None:
-    """Write an EXR file without loss (ZIP), by way of a temporary file beside it.
+    """Write an EXR file without loss (ZIP), whole or not at all.
 
     Parameters
     ----------
@@ -203,6 +204,16 @@ def write_exr(
     FileFormatError
         If a channel or attribute cannot be stored, or the file not be written.
     """
+    write_file(path, encode_exr(channels, attributes, offset, full_size), make_folders=True)
+
+
+def encode_exr(
+    channels: Mapping[str, np.ndarray],
+    attributes: Mapping[str, Any] | None = None,
+    offset: tuple[int, int] = (0, 0),
+    full_size: tuple[int, int] | None = None,
+) -> bytes:
+    """Return the contents of the file that `write_exr` writes."""
     pixels: dict[str, np.ndarray] = {}
     for name, values in channels.items():
         values = np.asarray(values)
@@ -233,9 +244,45 @@ def write_exr(
         elif isinstance(value, os.PathLike):
             value = str(value)
         elif isinstance(value, (list, tuple)) and all(isinstance(v, str) for v in value):
-            value = list(value)
+            value = [_utf8(v) for v in value]
         elif not isinstance(value, str):
             raise FileFormatError.expected(f"attribute {key}", "text or a number", f"{value!r}")
-        header[key] = value
-    with replacing(path) as temporary:
-        OpenEXR.File(header, pixels).write(str(temporary))
+        header[key] = _utf8(value) if isinstance(value, str) else value
+    try:
+        data = encoded(OpenEXR.File(header, pixels).write)
+    except RuntimeError as error:
+        raise FileFormatError.expected("image", "one that OpenEXR can write", error) from None
+    _check_whole(data, height)
+    return data
+
+
+def _utf8(text: str) -> str:
+    """Return text for a header; file names may hold bytes that are no text."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _check_whole(data: bytes, height: int) -> None:
+    """Walk over the chunks of an EXR file of scanlines in ZIP: OpenEXR tells no error at its end.
+
+    Every entry of the table of offsets must point to the chunk of its lines, each chunk begin
+    where the one before ends, and the last end with the file.
+    """
+    count = -(-height // 16)  # lines of a chunk
+    at = 8  # magic number and version
+    try:
+        while data[at]:  # attributes: name, type, size, value; an empty name ends them
+            at = data.index(0, data.index(0, at) + 1) + 1
+            at += 4 + struct.unpack_from("<i", data, at)[0]
+        at += 1
+        offsets = struct.unpack_from(f"<{count}Q", data, at)
+        at += 8 * count
+        for offset in offsets:
+            if offset != at:
+                raise ValueError
+            at += 8 + struct.unpack_from("<ii", data, at)[1]
+        if at != len(data):
+            raise ValueError
+    except (IndexError, ValueError, struct.error):
+        raise FileFormatError.expected(
+            "image", "room for an EXR file in memory", f"only {len(data)} bytes of it"
+        ) from None

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from .._files import write_file
 from .._version import __version__
 from . import png, preview
 from .comparison import Check, Comparison, Layer
-from .files import replacing
 
 __all__ = [
     "Entry",
@@ -330,5 +330,5 @@ def write_report(
         If the file cannot be written.
     """
     text = render_report(entries, title, subtitle, command, wording, by_name)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    # a file name may hold bytes that are no text
+    write_file(path, text.encode("utf-8", "backslashreplace"), make_folders=True)
