@@ -13,7 +13,7 @@ import pytest
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import _children, _llvm
-from mitsuba_bezier.cli import doctor
+from mitsuba_bezier.cli import _plugins, doctor, main
 from mitsuba_bezier.errors import FileFormatError
 
 ROOT = Path(__file__).parents[1]
@@ -186,3 +186,150 @@ def test_a_bare_name_of_llvm(tmp_path, monkeypatch):
     assert loaded == []
     _llvm.preload(str(tmp_path / "libLLVM.so"))
     assert len(loaded) == 3
+
+
+# ---------------------------------------------------------------- scenes
+
+COMMAND = "import sys; from mitsuba_bezier.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+def scene(more: str = "", first: str = "") -> str:
+    """Return the XML of a small scene."""
+    return f"""<scene version="3.0.0">{first}
+      <sensor type="perspective">
+        <transform name="to_world"><lookat origin="0,-5,0" target="0,0,0" up="0,0,1"/></transform>
+        <film type="hdrfilm">
+          <integer name="width" value="8"/><integer name="height" value="8"/>
+        </film>
+      </sensor>
+      <emitter type="constant"/>
+      <shape type="beziertriangle"><string name="filename" value="ball.vtu"/></shape>
+      {more}
+    </scene>"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """Return a folder with a model, and work beside it."""
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "here").mkdir()
+    mb.sphere().save(tmp_path / "scene/ball.vtu")
+    monkeypatch.chdir(tmp_path / "here")
+    return tmp_path / "scene"
+
+
+def plant(folder: Path, *names: str) -> None:
+    """Write libraries that end in an error if somebody loads them."""
+    (folder / "plugins").mkdir(parents=True, exist_ok=True)
+    for name in names:
+        for suffix in (".so", ".dylib", ".dll"):
+            (folder / f"plugins/{name}{suffix}").write_text("no library")
+
+
+NOT_IN_PLACE = sentence(
+    "No library that lies there is loaded by `mitsuba-bezier` in place of a plugin of Mitsuba or "
+    "of this package."
+)
+
+
+@NOT_IN_PLACE
+@pytest.mark.parametrize("words", [("render", "s.xml", "--spp", "1"), ("verify", "ellipsoid")])
+def test_libraries_under_known_names(folder, python, words):
+    import mitsuba as mi
+
+    own = _plugins._own(_plugins._root(mi))
+    assert {"diffuse", "sphere", "hdrfilm", "gaussian"} < own
+    names = (*own, *_plugins._REGISTERED)
+    plant(folder, *names)
+    plant(Path(), *names)
+    plant(folder / "more", *names)
+    (folder / "s.xml").write_text(scene(first='<path value="more"/>'))
+    if words[0] == "render":
+        words = ("render", str(folder / "s.xml"), *words[2:])
+    else:
+        words = (*words, "--resolution", "16")
+    done = python(COMMAND, None, *words)
+    assert done.returncode == 0, done.stderr
+
+
+@NOT_IN_PLACE
+def test_names_registered_from_python_are_all_known():
+    from mitsuba_bezier import plugins
+
+    for name in _plugins._REGISTERED:
+        assert plugins._maker(name)
+    source = Path(plugins.__file__).read_text("utf-8")
+    assert set(re.findall(r"^        \"(\w+)\": make_", source, re.M)) == set(_plugins._REGISTERED)
+
+
+REFUSED = sentence(
+    "A scene that asks for another plugin, of which there is a library, is refused unless "
+    "`--allow-plugins` is given."
+)
+
+
+@REFUSED
+@pytest.mark.parametrize(
+    ("place", "more", "first"),
+    [
+        ("scene", '<bsdf type="foreign"/>', ""),
+        ("here", '<bsdf type="foreign"/>', ""),
+        ("scene/more", '<bsdf type="foreign"/>', '<path value="more"/>'),
+        ("scene", '<bsdf type="$kind"/>', '<default name="kind" value="foreign"/>'),
+        ("scene", '<include filename="part.xml"/>', ""),
+        ("scene", '<integrator type="foreign"/>', ""),
+        ("scene", '<shape type="sphere"><emitter type="foreign"/></shape>', ""),
+    ],
+)
+def test_libraries_under_other_names(folder, capsys, place, more, first):
+    plant(folder.parent / place, "foreign")
+    (folder / "part.xml").write_text('<scene version="3.0.0"><bsdf type="foreign"/></scene>')
+    path = folder / "s.xml"
+    path.write_text(scene(more, first))
+    assert main.main(["render", str(path), "--spp", "1"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "plugins/foreign" in error
+    assert "--allow-plugins" in error
+    assert main.main(["render", str(path), "--spp", "1", "--allow-plugins"]) == 2
+    if "integrator" not in more:  # that one is refused for another reason before
+        error = capsys.readouterr().err
+        assert "plugin" in error and "--allow-plugins" not in error  # it was tried
+
+
+@sentence("A scene that names a plugin by a path is refused.")
+@pytest.mark.parametrize("name", ["../plugins/diffuse", "/tmp/x", "a/b", "..\\x"])
+def test_plugins_named_by_a_path(folder, capsys, name):
+    path = folder / "s.xml"
+    path.write_text(scene(f'<bsdf type="{name}"/>'))
+    assert main.main(["render", str(path), "--spp", "1"]) == 2
+    assert f"plugins named by words, got {path}: the path {name!r}" in capsys.readouterr().err
+
+
+@sentence(
+    "A scene can read every file that you can read: as a model, as a texture, as a part of itself."
+)
+def test_scenes_read_other_files(folder):
+    outside = folder.parent / "outside"
+    outside.mkdir()
+    (folder / "ball.vtu").rename(outside / "ball.vtu")
+    path = folder / "s.xml"
+    path.write_text(scene().replace("ball.vtu", f"{outside}/ball.vtu"))
+    assert main.main(["render", str(path), "--spp", "1", "-q"]) == 0
+    (outside / "part.xml").write_text('<scene version="3.0.0"><bsdf type="diffuse"/></scene>')
+    texture = f"""<bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+        <string name="filename" value="{folder}/s.png"/></texture></bsdf>
+        <include filename="../outside/part.xml"/>"""
+    path.write_text(scene(texture).replace("ball.vtu", "../outside/ball.vtu"))
+    assert main.main(["render", str(path), "--spp", "1", "-q"]) == 0
+
+
+@sentence(
+    "A scene names no file to be written: `mitsuba-bezier render` writes its EXR and PNG only."
+)
+def test_scenes_write_nothing_else(folder):
+    path = folder / "s.xml"
+    path.write_text(scene())
+    before = set(folder.parent.rglob("*"))
+    assert main.main(["render", str(path), "--spp", "1", "-q"]) == 0
+    assert set(folder.parent.rglob("*")) - before == {folder / "s.exr", folder / "s.png"}

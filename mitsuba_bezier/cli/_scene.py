@@ -15,6 +15,7 @@ from typing import Any
 from .. import _loading
 from .._runtime import import_mitsuba
 from ..errors import FileFormatError
+from . import _plugins
 
 __all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "load"]
 
@@ -51,6 +52,7 @@ def load(
     variant: str,
     defines: Mapping[str, str] | None = None,
     search_paths: Sequence[str | Path] = (),
+    allow_plugins: bool = False,
 ) -> Loaded:
     """Load a scene file under the variant that is set.
 
@@ -64,12 +66,14 @@ def load(
         Values of the ``$parameters`` of the scene.
     search_paths : sequence of paths, optional
         More folders in which files named by the scene are looked for.
+    allow_plugins : bool
+        Whether libraries beside the scene may be loaded as plugins.
 
     Raises
     ------
     FileFormatError
-        If the file is missing, Mitsuba cannot load it, it is no scene, or its integrator cannot
-        see the Bézier shapes that it has.
+        If the file is missing, Mitsuba cannot load it, it is no scene, its integrator cannot
+        see the Bézier shapes that it has, or a plugin lies beside it.
     """
     mi = import_mitsuba()
     path = Path(path)
@@ -77,7 +81,10 @@ def load(
         raise FileFormatError.expected("SCENE", "an existing scene file (.xml)", f"{path}")
     config = _loading.parser_config(mi, variant)
     with _loading.relative_to(mi, path, search_paths):
+        _plugins.load_own(mi)
         state = _guarded(path, mi.parser.parse_file, config, str(path), **(defines or {}))
+        if not allow_plugins:
+            _plugins.check(mi, (node.props.plugin_name() for node in state.nodes), path)
         _guarded(path, mi.parser.transform_all, config, state)
         name, notes = _choose_integrator(mi, state)
         built = _guarded(path, mi.parser.instantiate, config, state)

@@ -101,6 +101,11 @@ def add_parser(subparsers: Any) -> None:
         "the whole render to the bit",
     )
     add("--exposure", metavar="EV", type=float, default=0.0, help="stops, for the preview (0)")
+    add(
+        "--allow-plugins",
+        action="store_true",
+        help="load plugins/NAME.so beside the scene: it may do whatever you may",
+    )
     level = parser.add_mutually_exclusive_group()
     level.add_argument("-v", "--verbose", action="count", default=0, help="show Mitsuba's log")
     level.add_argument("-q", "--quiet", action="store_true", help="show errors only")
@@ -128,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
             print(line, file=sys.stderr)
 
     folders = [folder for folder in args.append.split(";") if folder]
-    loaded = _scene.load(scene_file, variant, dict(args.define), folders)
+    loaded = _scene.load(scene_file, variant, dict(args.define), folders, args.allow_plugins)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {note}")
     sensor = _sensor(loaded.scene, args.sensor)

@@ -16,6 +16,7 @@ import numpy as np
 from .._runtime import check, import_mitsuba
 from ..errors import BezierError
 from ..geometry.triangles import BezierTriangles
+from . import _plugins
 
 if TYPE_CHECKING:
     from ..verification.cases import Case
@@ -143,6 +144,7 @@ def run(args: argparse.Namespace) -> int:
     mi = import_mitsuba()
     check(args.mode)
     mi.set_variant(args.mode)
+    _plugins.load_own(mi)
     from .. import register
 
     register()
