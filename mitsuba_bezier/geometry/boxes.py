@@ -1,9 +1,9 @@
 """Axis-aligned boxes of surfaces: quick ones of their nets, and tight ones of the surfaces.
 
-A net is a hull of its patch if its weights have one sign. Whatever the weights, the parts of a patch
-that does not reach infinity have that property after some midpoint splits. So the box of a surface
-is found between two others: the box of points on it, and that of the nets of its parts, of which
-only those are split further that may reach beyond what is known.
+A net is a hull of its patch if its weights have one sign. Whatever the weights, the parts of a
+patch that does not reach infinity have that property after some midpoint splits. So the box of a
+surface is found between two others: the box of points on it, and that of the nets of its parts, of
+which only those are split further that may reach beyond what is known.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def hull_boxes(nets: np.ndarray) -> np.ndarray:
 
 def _one_sign(nets: np.ndarray) -> np.ndarray:
     w = nets[..., 3]
-    return (w > 0).all(axis=1) | (w < 0).all(axis=1)
+    return np.asarray((w > 0).all(axis=1) | (w < 0).all(axis=1))
 
 
 def _corners(nets: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def _reaches(nets: np.ndarray) -> np.ndarray:
 
 def _crosses(corners: np.ndarray) -> np.ndarray:
     w = corners[..., 3]
-    return (w > 0).any(axis=1) & (w < 0).any(axis=1)
+    return np.asarray((w > 0).any(axis=1) & (w < 0).any(axis=1))
 
 
 def _open_sides(nets: np.ndarray) -> np.ndarray:
