@@ -6,6 +6,8 @@ import argparse
 import sys
 from typing import Any
 
+from ._limits import add_limits
+
 __all__ = ["add_parser", "run"]
 
 
@@ -43,6 +45,7 @@ def add_parser(subparsers: Any) -> None:
     add("--elevate", action="store_true", help="elevate all patches to the highest degree")
     add("--strict", action="store_true", help="exit with 1 if a face was refused")
     add("-q", "--quiet", action="store_true", help="show errors only")
+    add_limits(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,6 +6,8 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
+from ._limits import add_limits
+
 if TYPE_CHECKING:
     from ..io import Model
 
@@ -23,6 +25,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("file", metavar="FILE", help="the file to read")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_limits(parser)
 
 
 def examine(model: Model) -> dict[str, Any]:

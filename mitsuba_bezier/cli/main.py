@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from .._version import __version__
 from ..errors import BezierError
+from ._limits import limits
 
 __all__ = ["COMMANDS", "main"]
 
@@ -75,10 +76,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.argv = [PROGRAM, *words]
     args.is_process = argv is None
     try:
-        return import_module(f".{args.command}", __package__).run(args)
+        with limits(args):
+            return import_module(f".{args.command}", __package__).run(args)
     except KeyboardInterrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except MemoryError:
+        if args.debug:
+            raise
+        print(f"{PROGRAM}: error: this takes more memory than there is", file=sys.stderr)
+        return EXIT_ERROR
     except (BezierError, OSError) as error:
         if args.debug:
             raise

@@ -18,6 +18,7 @@ from typing import Any
 from .. import _runtime
 from .._version import __version__
 from ..errors import BezierError, RuntimeSetupError
+from ._limits import add_limits
 
 __all__ = ["add_parser", "run"]
 
@@ -109,6 +110,7 @@ def add_parser(subparsers: Any) -> None:
     level = parser.add_mutually_exclusive_group()
     level.add_argument("-v", "--verbose", action="count", default=0, help="show Mitsuba's log")
     level.add_argument("-q", "--quiet", action="store_true", help="show errors only")
+    add_limits(parser)
 
 
 def run(args: argparse.Namespace) -> int:

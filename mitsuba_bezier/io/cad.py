@@ -38,7 +38,7 @@ from .tensor_nets import has_area, tensor_nets
 from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimmed_patches
 from .trims import rectangles, rectilinear
 
-__all__ = ["read", "read_here"]
+__all__ = ["import_library", "read", "read_here"]
 
 _SAMPLES = np.linspace(0, 1, 17)
 
@@ -90,6 +90,9 @@ def _occ() -> Any:
     messenger = Message.Message.DefaultMessenger_s()
     messenger.RemovePrinters(Message.Message_PrinterOStream.get_type_descriptor_s())
     return Occ
+
+
+import_library = _occ
 
 
 def _load(occ: Any, path: Path) -> Any:

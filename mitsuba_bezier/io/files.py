@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from os import PathLike
 from pathlib import Path
 
 from .._files import write_file
 from ..errors import FileFormatError
 
-__all__ = ["damaged", "read_bytes", "read_text", "write_bytes"]
+__all__ = ["check_regular", "damaged", "read_bytes", "read_text", "write_bytes"]
 
 
 def damaged(
@@ -48,15 +50,55 @@ def read_bytes(path: str | PathLike[str]) -> bytes:
     FileFormatError
         If there is no such file, or it cannot be read.
     """
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
-        return Path(path).read_bytes()
+        # not blocking: to open a pipe that nobody writes to would wait for ever
+        with open(os.open(path, flags), "rb") as file:
+            check_regular(path, os.fstat(file.fileno()).st_mode)
+            return file.read()
     except FileNotFoundError:
         got = f"{str(path)!r}, which does not exist"
     except IsADirectoryError:
         got = f"{str(path)!r}, which is a folder"
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        if isinstance(error, FileFormatError):
+            raise
         got = f"{str(path)!r} ({error})"
     raise FileFormatError.expected("path", "a file that can be read", got)
+
+
+#: What is no regular file, by its type.
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+def check_regular(path: str | PathLike[str], mode: int | None = None) -> None:
+    """Raise `FileFormatError` if a path is a folder, a pipe, a device or a socket.
+
+    Reading those may wait for ever, or never end. A path that does not exist passes: who opens
+    it tells that.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    mode : int, optional
+        Its mode, if that is known.
+    """
+    if mode is None:
+        try:
+            mode = os.stat(path).st_mode
+        except (OSError, ValueError):
+            return
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
+        got = f"{str(path)!r}, which is {kind}"
+        raise FileFormatError.expected("path", "a file that can be read", got)
 
 
 def read_text(path: str | PathLike[str]) -> str:

@@ -2,7 +2,8 @@
 
 A damaged file can crash such a library, and with it the Python that called it. So the file is
 read by a second Python, which hands its nets over in a file; if it dies, that is an error like
-any other.
+any other. Its processor time and its memory are limited (see `limits`), so a busy machine makes
+it late, but not fail; and it ends with its parent, however that ends.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time
+from contextlib import suppress
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -24,16 +28,21 @@ from ..errors import BezierError, FileFormatError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .files import damaged, read_bytes
+from .limits import memory_limit, seconds_limit, too_large, too_slow
 from .report import Model, Refusal, Report
 from .trim_arrays import packed_trims, unpacked_trims
 
 __all__ = ["read_isolated"]
 
-#: Longest time to read a file, in seconds: this, and a second more for each 10 kB. Damaged files
-#: can keep a library busy for ever; sound ones took a tenth of that.
-TIME_LIMIT = 60
+#: Seconds after which a process that waits for something, and computes nothing, is given up.
+IDLE_LIMIT = 60.0
 
-_MEMORY = 16 << 30  # address space beyond 100 times the size of the file, in bytes
+_POLL = 1.0  # seconds between two looks at it
+
+#: Exit code of a process that tells an error of ours, as the last line of what it prints.
+_TOLD = 3
+#: Exit code of a process that ran out of memory.
+_FULL = 4
 
 
 def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -> Model:
@@ -51,54 +60,149 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
     Raises
     ------
     FileFormatError
-        As the reader itself, or if its process died or took longer than `TIME_LIMIT`.
+        As the reader itself, or if its process died or went beyond its limits.
     """
     size = len(read_bytes(path))  # a missing file is told at once
-    limit = int(TIME_LIMIT + size / 10_000)
+    seconds, memory = seconds_limit(size), memory_limit(size)
     with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
         out = Path(folder) / "model.npz"
-        arguments = [module, str(path), str(out), str(_MEMORY + 100 * size), str(int(trims))]
+        arguments = [module, str(path), str(out), str(seconds), str(memory), str(int(trims))]
+        arguments += [str(os.getpid())]
+        # it ends when the pipe to its standard input does: when this process closes it, or ends
+        theirs, ours = os.pipe()
         try:
-            done = subprocess.run(
+            process = subprocess.Popen(
                 python_command(f"import {__name__} as i; i.work()", *arguments),
-                stdin=subprocess.DEVNULL,
+                stdin=theirs,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
-                timeout=limit,
-                check=False,
             )
-        except subprocess.TimeoutExpired:
-            raise damaged(path, f"a file that can be read in {limit} s", "none") from None
+            try:
+                stderr = _wait(process, seconds)
+            except TimeoutError:
+                expected = f"a file whose reader is not idle for {IDLE_LIMIT:.0f} s"
+                raise damaged(path, expected, "one that is") from None
+            finally:  # also after Ctrl-C
+                if process.poll() is None:
+                    process.kill()
+                    process.communicate()
+        finally:
+            os.close(theirs)
+            os.close(ours)
         if out.exists():
             return _unpack(out)
-    text = done.stderr.decode(errors="replace").strip().splitlines()
-    if done.returncode == 3 and text:
+    text = stderr.decode(errors="replace").strip().splitlines()
+    code = process.returncode
+    if code == _TOLD and text:
         raise FileFormatError(text[-1])
-    if done.returncode < 0:
+    if code == _FULL:
+        raise too_large(path)
+    if code < 0:
         names = {int(s): s.name for s in signal.Signals}
-        reason = f"its process died of {names.get(-done.returncode, -done.returncode)}"
+        name = names.get(-code, str(-code))
+        if name == "SIGXCPU":
+            raise too_slow(path, seconds)
+        reason = f"its process died of {name}"
     else:
-        reason = text[-1] if text else f"exit code {done.returncode}"
+        reason = text[-1] if text else f"exit code {code}"
     raise damaged(path, "a file that its library can read", reason[:200])
+
+
+def _wait(process: subprocess.Popen[bytes], seconds: float) -> bytes:
+    """Wait for the end of a process; return what it printed.
+
+    Raises
+    ------
+    TimeoutError
+        If it has waited for something, and computed nothing, for `IDLE_LIMIT`; where the system
+        does not tell, if it took 20 times the processor time that it may take.
+    """
+    start = since = time.monotonic()
+    used = -1
+    while True:
+        try:
+            return process.communicate(timeout=_POLL)[1]
+        except subprocess.TimeoutExpired:
+            pass
+        now = time.monotonic()
+        state = _state(process.pid)
+        if state is None:
+            idle = now - start > IDLE_LIMIT + 20 * seconds
+        else:
+            sleeps, ticks = state
+            if ticks != used or not sleeps:  # one that waits for the processor does not sleep
+                used, since = ticks, now
+            idle = now - since > IDLE_LIMIT
+        if idle:
+            raise TimeoutError
+
+
+def _state(pid: int) -> tuple[bool, int] | None:
+    """Tell whether a process sleeps, and how many ticks of the clock it has computed (Linux)."""
+    try:
+        words = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+        return words[0] in (b"S", b"T"), int(words[11]) + int(words[12])
+    except (OSError, ValueError, IndexError):
+        return None
+
+
+def _end_with(parent: int) -> None:
+    """End this process when its parent does, or has done."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
+        if os.getppid() != parent:
+            os._exit(1)
+
+    def watch() -> None:  # for other systems
+        os.read(0, 1)  # nothing comes: this returns when the pipe ends
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _limit(seconds: float, memory: int) -> None:
+    """Limit what this process may take from now on."""
+    try:
+        import resource
+    except ImportError:
+        return  # not every system has such limits
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        taken = pages * resource.getpagesize()
+    except (OSError, ValueError):
+        taken = 1 << 30
+    limits = {
+        # whole seconds; the one more is for what importing the library took
+        resource.RLIMIT_CPU: int(time.process_time() + seconds) + 1,
+        resource.RLIMIT_AS: taken + memory,
+        resource.RLIMIT_CORE: 0,
+    }
+    for kind, wanted in limits.items():
+        try:
+            hard = resource.getrlimit(kind)[1]
+            soft = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+            resource.setrlimit(kind, (soft, hard))
+        except (ValueError, OSError):
+            pass
 
 
 def work() -> None:
     """Read a file in this process and write what was found; for `read_isolated` only."""
-    module, path, out, memory, trims = sys.argv[1:]
+    name, path, out, seconds, memory, trims, parent = sys.argv[1:]
+    _end_with(int(parent))
+    module = import_module(f".{name}", __package__)
+    with suppress(FileFormatError):  # `read_here` tells it, too
+        module.import_library()
     try:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (int(memory), resource.RLIM_INFINITY))
-    except (ImportError, ValueError, OSError):
-        pass  # not every system has such limits
-    try:
-        model = import_module(f".{module}", __package__).read_here(path, trims == "1")
+        _limit(float(seconds), int(memory))
+        model = module.read_here(path, trims == "1")
     except BezierError as error:
         print(" ".join(str(error).split()), file=sys.stderr, flush=True)
-        os._exit(3)
+        os._exit(_TOLD)
     except MemoryError:
-        print(f"{path}: expected a file that fits the memory, got a larger one", file=sys.stderr)
-        os._exit(3)
+        os._exit(_FULL)
     report = model.report
     facts = {
         "path": report.path,

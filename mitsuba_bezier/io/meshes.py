@@ -19,7 +19,7 @@ from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_
 from .report import Collector, Model
 from .tensor_nets import homogeneous
 
-__all__ = ["read", "read_here"]
+__all__ = ["import_library", "read", "read_here"]
 
 #: meshio's cell types, whose nodes are in the order of VTK: kind and lattice.
 _TYPES: dict[str, tuple[str, np.ndarray]] = {
@@ -56,10 +56,10 @@ def read(path: str | PathLike[str]) -> Model:
     return read_isolated("meshes", path)
 
 
-def read_here(path: str | PathLike[str]) -> Model:
-    """Read a mesh in this process."""
+def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
+    """Read a mesh in this process; no mesh has `trims`."""
     read_bytes(path)
-    meshio = _library()
+    meshio = import_library()
     try:
         mesh = meshio.read(path)
     except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
@@ -94,7 +94,8 @@ def read_here(path: str | PathLike[str]) -> Model:
     return collector.model(lambda: damaged(path, "surface elements", "none in this file"))
 
 
-def _library() -> Any:
+def import_library() -> Any:
+    """Return meshio, or raise `FileFormatError` with how to install it."""
     try:
         import meshio
     except ImportError as error:

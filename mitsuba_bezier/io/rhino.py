@@ -25,12 +25,13 @@ from .tensor_nets import tensor_nets
 from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimmed_patches
 from .trims import rectilinear
 
-__all__ = ["read", "read_here"]
+__all__ = ["import_library", "read", "read_here"]
 
 _MAX_DEPTH = 8  # blocks within blocks
 
 
-def _library() -> Any:
+def import_library() -> Any:
+    """Return rhino3dm, or raise `FileFormatError` with how to install it."""
     try:
         import rhino3dm
     except ImportError as error:
@@ -131,7 +132,7 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     data = read_bytes(path)
     if not data.startswith(b"3D Geometry File Format "):
         raise damaged(path, "a .3dm file ('3D Geometry File Format' at its start)", "other data")
-    library = _library()
+    library = import_library()
     file = library.File3dm.Read(str(path))
     if file is None:
         raise damaged(path, "a file that rhino3dm can read", "one it refuses")
