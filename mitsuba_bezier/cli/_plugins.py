@@ -20,7 +20,7 @@ __all__ = ["check", "load_own"]
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 #: Registered from Python, so never looked for in a file.
-_REGISTERED = ("beziertriangle", "bezieraov", "bezierpath", "beziervolpath")
+_REGISTERED: tuple[str, ...] = ("beziertriangle", "bezieraov", "bezierpath", "beziervolpath")
 _REGISTERED += ("bezier_prb_projective", "bezier_direct_projective")
 
 
