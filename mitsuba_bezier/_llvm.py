@@ -11,6 +11,7 @@ import ctypes
 import os
 import platform
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,7 +22,16 @@ from pathlib import Path
 
 from ._children import program
 
-__all__ = ["MINIMUM", "WHEELS", "Library", "find", "install_command", "load_error", "preload"]
+__all__ = [
+    "MINIMUM",
+    "WHEELS",
+    "Library",
+    "export",
+    "find",
+    "install_command",
+    "load_error",
+    "preload",
+]
 
 #: LLVM 14 is refused by Dr.Jit; 15 and 16 abort the process at the first minimum or maximum
 #: ("Cannot select: fminimum").
@@ -87,6 +97,13 @@ def preload(path: str) -> None:
         for file in folder.glob(f"*-unknown-linux-gnu/{name}"):
             with contextlib.suppress(OSError):  # if it matters, `load_error` tells
                 ctypes.CDLL(str(file))
+
+
+def export(variable: str, path: str) -> str:
+    """Return the command that sets a variable of the environment in the usual shell."""
+    if sys.platform == "win32":
+        return f"set {variable}={path}"
+    return f"export {variable}={shlex.quote(path)}"
 
 
 def load_error(path: str) -> str | None:

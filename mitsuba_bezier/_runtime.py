@@ -3,16 +3,21 @@
 Dr.Jit looks for LLVM once, while it is imported, at ``DRJIT_LIBLLVM_PATH`` or under the linker's
 default name, which on many machines is LLVM 14, 15 or 16 and ends in an aborted process. So
 `prepare` sets the variable as soon as ``mitsuba_bezier`` is imported, and `check` looks at what
-was really loaded before a kernel of ours runs. Importing never fails for want of LLVM: it is not
-needed for the NumPy geometry, nor on CUDA.
+was really loaded before a kernel of ours runs. If Dr.Jit was imported first, as import sorters
+have it, it is started anew with the right library as long as nothing rests on it; else a warning
+tells at once what to do. Importing never fails for want of LLVM: it is not needed for the NumPy
+geometry, nor on CUDA.
 """
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
+import warnings
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 from . import _llvm
 from .errors import RuntimeSetupError, VariantError
@@ -41,8 +46,8 @@ _good: set[str] = set()  # variants that passed `check`
 def prepare() -> None:
     """Choose the LLVM library that Dr.Jit will load; called when the package is imported.
 
-    A variable set by the user stays. If Dr.Jit was imported before, nothing can be changed any
-    more; `check` then says what to do if its LLVM is too old.
+    A variable set by the user stays. If Dr.Jit was imported before, with an LLVM that will not
+    do, it is started anew; where that cannot be, a warning says what to do.
     """
     global _prepared, _late, _ours
     if _prepared:
@@ -53,12 +58,53 @@ def prepare() -> None:
         # a child process inherits the variable, but not the libraries loaded beside it
         _llvm.preload(os.environ[VARIABLE])
         return
-    if _late:
+    if _late and (llvm_version() or (-1,))[0] >= _llvm.MINIMUM:
         return
     _ours = _llvm.find()
-    if _ours is not None:
-        _llvm.preload(_ours.path)
-        os.environ[VARIABLE] = _ours.path
+    if _ours is None:
+        return
+    if _late and not _may_restart():
+        warnings.warn(str(llvm_problem()), RuntimeWarning, stacklevel=3)
+        return
+    _llvm.preload(_ours.path)
+    os.environ[VARIABLE] = _ours.path
+    if _late:
+        _restart()
+        if (llvm_version() or (-1,))[0] < _llvm.MINIMUM:
+            del os.environ[VARIABLE]
+            warnings.warn(str(llvm_problem()), RuntimeWarning, stacklevel=3)
+
+
+def _may_restart() -> bool:
+    """Tell whether Dr.Jit may forget its LLVM: no array exists. A graphics card is left alone."""
+    dr = import_module("drjit")
+    mitsuba = sys.modules.get("mitsuba")
+    if mitsuba is not None and (mitsuba.variant() or "scalar").split("_")[0] != "scalar":
+        return False  # Mitsuba holds objects of Dr.Jit
+    return (
+        _core() is not None
+        and not dr.has_backend(dr.JitBackend.CUDA)
+        and "No variables registered" in str(dr.whos(as_string=True))
+    )
+
+
+def _core() -> Any:
+    """Return Dr.Jit's own library with ``jit_shutdown`` and ``jit_init``, or None."""
+    folder = os.path.dirname(str(import_module("drjit").__file__))
+    name = {"linux": "libdrjit-core.so", "darwin": "libdrjit-core.dylib"}.get(sys.platform, "")
+    try:
+        core = ctypes.CDLL(os.path.join(folder, name))
+        core._Z12jit_shutdowni, core._Z8jit_initj  # noqa: B018 (looks the names up)
+    except (OSError, AttributeError):
+        return None
+    return core
+
+
+def _restart() -> None:
+    """Let Dr.Jit look for LLVM again, in 15 ms; where it had found none at all, it does not."""
+    dr, core = import_module("drjit"), _core()
+    core._Z12jit_shutdowni(0)
+    core._Z8jit_initj(sum(1 << kind.value for kind in (dr.JitBackend.CUDA, dr.JitBackend.LLVM)))
 
 
 def import_mitsuba() -> ModuleType:
@@ -87,8 +133,11 @@ def import_mitsuba() -> ModuleType:
 
 def llvm_version() -> tuple[int, int, int] | None:
     """Return the version of the LLVM that Dr.Jit loaded, or None if it has none."""
-    import_mitsuba()
-    version = tuple(import_module("drjit").detail.llvm_version())
+    if "drjit" not in sys.modules:
+        import_mitsuba()
+    dr = import_module("drjit")
+    dr.has_backend(dr.JitBackend.LLVM)  # waits until Dr.Jit has looked for it, in its own thread
+    version = tuple(dr.detail.llvm_version())
     return version if version[0] >= 0 else None
 
 
@@ -142,8 +191,9 @@ def llvm_problem() -> str | None:
         todo = f"unset {VARIABLE}, or set it to {better.path}"
     else:
         todo = (
-            "Dr.Jit was imported first and has made its choice: import mitsuba_bezier before "
-            f"drjit and mitsuba, or start Python with {VARIABLE}={better.path}"
+            "Dr.Jit was imported before mitsuba_bezier and keeps its choice. Set the variable "
+            "before Python starts, then the order does not matter: "
+            f"{_llvm.export(VARIABLE, better.path)}"
         )
     return f"LLVM: expected version {_llvm.MINIMUM} or newer, got {got}; {todo}"
 

@@ -124,26 +124,106 @@ def old_libraries() -> list[str]:
     return [lib.path for lib in _llvm._system() if lib.version < (_llvm.MINIMUM,)]
 
 
+# from here on as on a machine where the linker finds this library, or none
+FORGET = "import os; del os.environ['DRJIT_LIBLLVM_PATH']\n"
+
+
+@pytest.mark.parametrize("imports", ["import drjit", "import mitsuba", "import drjit, mitsuba"])
 @pytest.mark.parametrize("library", old_libraries(), ids=os.path.basename)
-def test_mitsuba_first_with_a_real_old_llvm(python, library):
+def test_imported_last_with_a_real_old_llvm(python, library, imports):
     # LLVM 15 and 16 abort the process at the first minimum; Dr.Jit itself refuses 14
+    code = f"{imports}\n{FORGET}import mitsuba_bezier, mitsuba as mi; mi.set_variant('llvm_ad_rgb')"
+    done = python(code + MINMAX + USE, {"DRJIT_LIBLLVM_PATH": library})
+    assert (done.returncode, done.stdout) == (0, "works\n"), done.stderr
+    assert "Warning" not in done.stderr
+
+
+def test_started_anew_with_a_library_that_will_do(python):
+    # anywhere: what is left of Dr.Jit works after a restart
     code = """
-import os, mitsuba as mi
-del os.environ["DRJIT_LIBLLVM_PATH"]  # from here on as on a machine with this default
-import mitsuba_bezier
+import mitsuba_bezier, mitsuba as mi
 from mitsuba_bezier import _runtime
+mi.set_variant("scalar_rgb")
+before = _runtime.llvm_version()
+assert _runtime._may_restart()
+_runtime._restart()
+assert _runtime.llvm_version() == before
+mi.set_variant("llvm_ad_rgb")
+assert not _runtime._may_restart()  # Mitsuba holds arrays
+"""
+    done = python(code + MINMAX + USE)
+    assert (done.returncode, done.stdout) == (0, "works\n"), done.stderr
+
+
+def test_an_array_stays(python):
+    code = """
+import mitsuba_bezier, drjit as dr
+from mitsuba_bezier import _runtime
+x = dr.llvm.Float([1, 2])
+assert not _runtime._may_restart()
+del x
+assert _runtime._may_restart()
+"""
+    done = python(code)
+    assert done.returncode == 0, done.stderr
+
+
+def at_once(stderr: str) -> str:
+    """Return the one warning, which names the line of the import and is valid in any order."""
+    (line,) = [line for line in stderr.splitlines() if "Warning" in line]
+    assert line.startswith("<string>:")
+    assert line.endswith(
+        "Set the variable before Python starts, then the order does not matter: "
+        f"export DRJIT_LIBLLVM_PATH={good_library()}"
+    )
+    return line
+
+
+@linux_only
+def test_imported_last_where_dr_jit_found_no_llvm(python):
+    # it does not look again, so this process cannot be helped
+    code = f"import drjit, mitsuba as mi\n{FORGET}import mitsuba_bezier; print('imported')\n{USE}"
+    done = python(code, {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so"})
+    assert done.returncode == 0, done.stderr
+    assert "got no LLVM library that Dr.Jit can use; Dr.Jit was imported" in at_once(done.stderr)
+    assert done.stdout.startswith("imported\n")
+
+
+@linux_only
+@pytest.mark.parametrize("library", old_libraries(), ids=os.path.basename)
+def test_imported_after_the_variant_with_a_real_old_llvm(python, library):
+    code = f"""
+import mitsuba as mi
 try:
     mi.set_variant("llvm_ad_rgb")
-except ImportError:
-    print(_runtime.llvm_problem())
+except ImportError:  # 14, which Mitsuba names before we are asked
+    print("DRJIT_LIBLLVM_PATH")
 else:
+    {FORGET}
+    import mitsuba_bezier, sys
+    try:
+        mitsuba_bezier._runtime.check("llvm_ad_rgb")
+    except mitsuba_bezier.RuntimeSetupError as error:
+        print(error)
 """
-    body = "\n".join("    " + line for line in USE.splitlines())
-    done = python(code + body, {"DRJIT_LIBLLVM_PATH": library})
+    done = python(code, {"DRJIT_LIBLLVM_PATH": library})
     assert done.returncode == 0, done.stderr
-    assert "LLVM: expected version 17 or newer" in done.stdout
-    assert "import mitsuba_bezier before drjit and mitsuba" in done.stdout
-    assert f"DRJIT_LIBLLVM_PATH={good_library()}" in done.stdout
+    assert "DRJIT_LIBLLVM_PATH" in done.stdout
+    if "LLVM: expected" in done.stdout:
+        assert at_once(done.stderr).endswith(done.stdout.strip())
+
+
+def test_the_command_that_is_advised_works(python):
+    code = "import drjit, mitsuba, mitsuba_bezier; mi = mitsuba; mi.set_variant('llvm_ad_rgb')"
+    done = python(code + MINMAX + USE, {"DRJIT_LIBLLVM_PATH": good_library()})
+    assert (done.returncode, done.stdout) == (0, "works\n"), done.stderr
+    assert "Warning" not in done.stderr
+
+
+def test_export_quotes(monkeypatch):
+    assert _llvm.export("V", "/a b/x.so") == "export V='/a b/x.so'"
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert _llvm.export("V", "C:\\x.dll") == "set V=C:\\x.dll"
 
 
 @pytest.mark.parametrize("library", old_libraries(), ids=os.path.basename)
@@ -175,7 +255,8 @@ def test_mitsuba_first_with_an_old_llvm_as_drjit_tells(monkeypatch, version):
     message = str(raised.value)
     got = "no LLVM library" if version is None else ".".join(map(str, version))
     assert message.startswith(f"LLVM: expected version 17 or newer, got {got}")
-    assert "import mitsuba_bezier before drjit and mitsuba" in message
+    assert "Dr.Jit was imported before mitsuba_bezier and keeps its choice" in message
+    assert f"the order does not matter: export DRJIT_LIBLLVM_PATH={good_library()}" in message
     assert "\n" not in message
 
 
