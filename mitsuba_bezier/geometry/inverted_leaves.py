@@ -48,6 +48,10 @@ _DETERMINED = 1e-4
 _GAP, _LEAST_GAP = 1e-2, 1e-6
 #: The least of ``D`` over a patch, as a share of its largest: what projection magnifies.
 _LEAST = 0.05
+#: The equations of the plane times Q, which is one in the middle, tell whether a point is within
+#: the tolerance of edges: Q varies by this factor at most, and the terms of a sum are no larger
+#: together, so that its rounding in float32 is half of that tolerance.
+_WEIGHTS, _TERMS = 16.0, 5.0
 #: Ways to project, the first that does is taken.
 _WAYS = ("normal", "mean", "axis")
 #: Patches are cut so many times, if Newton's method does not do.
@@ -213,7 +217,15 @@ def _invert(local: np.ndarray, forms: np.ndarray, n: int) -> tuple[_Parts, np.nd
 def _maps(
     owner: np.ndarray, domain: np.ndarray, nets: np.ndarray, forms: np.ndarray, n: int
 ) -> tuple[_Parts, np.ndarray]:
-    """Project nets, in one of three ways, and tell where the result can be inverted."""
+    """Project nets, in one of three ways, and tell where the result can be inverted.
+
+    Parameters are changed first where the corners' weights differ, so that these are one.
+    """
+    corners = nets[:, bernstein.corner_rows(n), 3]
+    differ = corners.max(axis=1) > 2 * corners.min(axis=1)
+    scale = np.where(differ[:, None], corners ** (-1 / n), 1.0)
+    domain = domain * scale[:, None]
+    nets = nets * np.prod(scale[:, None] ** bernstein.multi_indices(n), axis=2)[..., None]
     out, good = _project(owner, domain, nets, forms, n, _WAYS[0])
     for way in _WAYS[1:]:
         rest = np.flatnonzero(~good)
@@ -244,7 +256,8 @@ def _project(
         total = x + y + rest
         fractions = np.stack([x - total / 2, y - total / 2, total, 0 * total], axis=-1)
         fractions = centred(n) @ fractions
-        good &= np.isfinite(fractions).all(axis=(1, 2))
+        fractions /= fractions[:, bernstein.row(n, 0, 0), 2][:, None, None]
+        good &= np.isfinite(fractions).all(axis=(1, 2)) & _is_even(fractions, n, uv)
         tried = np.flatnonzero(good)
         good[tried] = newton_converges(maps[tried], fractions[tried], n)
         fine = maps
@@ -333,6 +346,17 @@ def _axes_of_cones(forms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     values, vectors = np.linalg.eigh(forms[:, :3, :3])
     axis = np.where((values[:, 1] > 0)[:, None], vectors[..., 0], vectors[..., 2])
     return np.concatenate([axis, np.zeros((len(forms), 1))], axis=1), good
+
+
+def _is_even(fractions: np.ndarray, n: int, uv: np.ndarray) -> np.ndarray:
+    """Tell where Q, and the rounding of the equations, differ little from place to place."""
+    i, j = bernstein.multi_indices(n)[:, :2].T
+    powers = (uv[:, :1] - 1 / 3) ** i * (uv[:, 1:] - 1 / 3) ** j
+    q = powers @ fractions[..., 2:3]
+    terms = np.abs(powers) @ np.abs(fractions)
+    terms = terms[..., :2] + np.abs(uv - 0.5) * terms[..., 2:3]
+    even = (q > 0).all(axis=(1, 2)) & (q.max(axis=(1, 2)) < _WEIGHTS * q.min(axis=(1, 2)))
+    return even & (terms.max(axis=(1, 2)) < _TERMS)
 
 
 def _is_regular(maps: np.ndarray, n: int, lattice: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     triangles of degree one are of this kind. So are patches of higher degree on an ellipsoid
     whose edges are plane sections: then the rows give the stereographic coordinates of a point,
     and the net stores two complex polynomials, from which the parameters are found. So are
-    sectors of cones and disks, with four rows. And so are all other patches on quadrics and in
+    sectors of cones, with four rows. And so are all other patches on quadrics and in
     planes, *inverted*: their parameters tell whether a point is on them. They may be cut.
 *graph* leaves
     Everything else, subdivided until the bounds below are small. For them we store the
@@ -47,7 +47,6 @@ from . import bernstein
 __all__ = [
     "BENDING_LIMIT",
     "DEVIATION",
-    "DISK",
     "FORM",
     "FORM_ENTRIES",
     "INVERTED",
@@ -81,17 +80,14 @@ DEVIATION = 11
 #: Place of the mark of an exact leaf whose frame does not give barycentrics: 1 if it gives
 #: stereographic coordinates, and barycentrics need a few steps of Newton's method, on the net
 #: (`section_leaves`); `INVERTED` if such parameters tell whether a point is on the patch at all
-#: (`inverted_leaves`); -1, -2 or -3 for a sector of a cone with its apex in this corner, -4, -5 or
-#: -6 for one of a disk with its middle there (`sector_leaves`).
+#: (`inverted_leaves`); -1, -2 or -3 for a sector of a cone with its apex in this corner
+#: (`sector_leaves`).
 SECTION = 12
 INVERTED = 2.0
 
 #: Places in the form of a graph leaf of its `outward` and `inward`.
 OUTWARD = slice(13, 16)
 INWARD = slice(16, 19)
-
-#: Places in the form of a sector of a disk of the coordinates of its ``D`` (`sector_leaves`).
-DISK = slice(13, 16)
 
 #: ... and of an inverted leaf of how far its plane barycentrics go below zero (`inverted_leaves`).
 MARGINS = slice(13, 16)
@@ -179,7 +175,7 @@ class LeafSettings:
         Whether patches with a linear inverse become exact leaves.
     sections : bool
         Whether patches do that are bounded by planes on an ellipsoid, of higher degree, and
-        sectors of cones and disks. Not where the parameters of every hit are needed, as for
+        sectors of cones. Not where the parameters of every hit are needed, as for
         trimmed patches.
     """
 
@@ -223,12 +219,7 @@ class Leaves:
     @property
     def are_cones(self) -> np.ndarray:
         """Which exact leaves are sectors of cones."""
-        return self.exact & (self.form[:, SECTION] < 0) & (self.form[:, SECTION] >= -3)
-
-    @property
-    def are_disks(self) -> np.ndarray:
-        """Which exact leaves are sectors of disks."""
-        return self.exact & (self.form[:, SECTION] < -3)
+        return self.exact & (self.form[:, SECTION] < 0)
 
     @staticmethod
     def join(parts: list[Leaves]) -> Leaves:

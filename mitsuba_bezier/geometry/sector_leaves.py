@@ -1,29 +1,21 @@
-"""Sectors of cones and of disks, as leaves with a closed form (see `leaves`).
+"""Sectors of cones, as leaves with a closed form (see `leaves`).
 
-Both are quadratic patches with two straight edges, between a corner ``A`` and those of an arc
+They are quadratic patches with two straight edges, between a corner ``A`` and those of an arc
 ``P, Q, R``, and no linear form gives their parameters.
 
-*Cones.* If all control points but those of the arc lie in the apex, the patch is
+If all control points but those of the arc lie in the apex, the patch is
 ``u^2 P + 2 u v Q + v^2 R + (1 - (u + v)^2) A``, homogeneously. With coordinates
 ``(b_0, b_1, b_2, a)`` for ``P, Q, R, A`` it lies on the cone ``b_1^2 = 4 b_0 b_2``, within the
 planes ``b_1 >= 0``, ``b_0 + b_2 >= 0`` and ``a >= 0``; and with ``l = b_0 + b_1 + b_2 + a`` the
 parameters are ``u^2 = b_0 / l`` and ``v / u = b_1 / (2 b_0)``.
-
-*Disks.* If the patch is planar, and the control point on each straight edge in its middle, it is
-``u P + v R + w A + u v D`` with ``D = 2 Q - P - R``. Let the coordinates for ``P, R, A`` of the
-point, which sum to one, be ``(a, b, 1 - a - b)``, those of ``D`` ``(d_0, d_1, d_2)``, and their sum
-``s``; then ``k = u v`` gives ``u = a + k (s a - d_0)`` and ``v = b + k (s b - d_1)``. So it is a
-root of ``k = (a + k (s a - d_0)) (b + k (s b - d_1))``: the one that vanishes with ``a b``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from . import bernstein
-from .leaves import DISK, SECTION, Leaves, weight_signs
+from .leaves import SECTION, Leaves, weight_signs
 from .quadric_fits import in_space, local_nets
 from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
@@ -36,10 +28,6 @@ _ROUNDING = 3e-7
 #: Singular values below this share of the largest leave the coordinates undetermined.
 _DETERMINED = 1e-3
 
-#: Tells which were found, rows and form in units of the net, and `DISK`, from the points A, P, Q, R
-#: and those on the straight edges.
-_Finder = Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
-
 
 def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     """Find such patches, with ``A`` in any corner, and return ``(mask, leaves)``."""
@@ -51,24 +39,22 @@ def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     local, shift, size = local_nets(patches)
     local *= sign[:, None, None]
     rows, forms = np.zeros((2, len(nets), 4, 4))
-    mark, disk = np.zeros(len(nets)), np.zeros((len(nets), 3))
-    finders: tuple[_Finder, ...] = (_cones, _disks)
-    for kind, find in enumerate(finders):
-        for corner in range(3):
-            which = np.flatnonzero((sign != 0) & ~found)
-            i, j = (corner + 1) % 3, (corner + 2) % 3
-            pairs = ((corner, corner), (i, i), (i, j), (j, j), (i, corner), (j, corner))
-            good, *found_there = find(*(local[which, _row(*pair)] for pair in pairs))
-            which = which[good]
-            rows[which], forms[which], disk[which] = (x[good] for x in found_there)
-            mark[which] = -1.0 - corner - 3 * kind
-            found[which] = True
+    mark = np.zeros(len(nets))
+    for corner in range(3):
+        which = np.flatnonzero((sign != 0) & ~found)
+        i, j = (corner + 1) % 3, (corner + 2) % 3
+        pairs = ((corner, corner), (i, i), (i, j), (j, j), (i, corner), (j, corner))
+        good, *found_there = _cones(*(local[which, _row(*pair)] for pair in pairs))
+        which = which[good]
+        rows[which], forms[which] = (x[good] for x in found_there)
+        mark[which] = -1.0 - corner
+        found[which] = True
     which = np.flatnonzero(found)
     if not len(which):
         return found, Leaves.empty(bernstein.size(n))
     forms = forms[which] / np.abs(forms[which]).max(axis=(1, 2), keepdims=True)
     found_rows, form = in_space(rows[which], forms, size[which])
-    form[:, SECTION], form[:, DISK] = mark[which], disk[which]
+    form[:, SECTION] = mark[which]
     return found, quadric_leaves(patches, which, shift[which], found_rows, form)
 
 
@@ -106,38 +92,11 @@ def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _cones(
     a: np.ndarray, p: np.ndarray, q: np.ndarray, r: np.ndarray, ap: np.ndarray, ar: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Tell which are such sectors, and return rows and forms in units of the nets."""
     apex = (a + ap + ar) / 3
     good, rows = _coordinates(np.stack([p, q, r, apex], axis=1))
     good &= _near(a, apex) & _near(ap, apex) & _near(ar, apex)
     form = _product(rows[:, 1], rows[:, 1]) / 2 - 2 * _product(rows[:, 0], rows[:, 2])
     rows[:, 3] = rows.sum(axis=1)
-    return good, rows, form, np.zeros((len(rows), 3))
-
-
-def _disks(
-    a: np.ndarray, p: np.ndarray, q: np.ndarray, r: np.ndarray, ap: np.ndarray, ar: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    net = np.stack([p, r, a, q], axis=1)
-    _u, s, vt = np.linalg.svd(net)
-    good = (s[:, 3] <= _ROUNDING * s[:, 0]) & _near(2 * ap, a + p) & _near(2 * ar, a + r)
-    plane = vt[:, 3]
-    good &= np.linalg.norm(plane[:, :3], axis=1) > 1e-12  # not the plane at infinity
-    independent, rows = _coordinates(np.concatenate([net[:, :3], plane[:, None]], axis=1))
-    good &= independent
-    d = np.einsum("prc,pc->pr", rows[:, :3], 2 * q - p - r)
-    rows[:, 3] = 0.0
-    infinity = np.broadcast_to([0.0, 0, 0, 1], plane.shape)
-    # all of the patch on this branch of the root, not where roots meet
-    u, v = (bernstein.multi_indices(12)[:, :2] / 12.0).T
-    with np.errstate(all="ignore"):
-        point = np.stack([u, v, 1 - u - v]) + (u * v) * d[:, :, None]
-        x, y = point[:, 0] / point.sum(axis=1), point[:, 1] / point.sum(axis=1)
-        e, f = (d.sum(axis=1)[:, None] * z - d[:, k, None] for k, z in enumerate((x, y)))
-        half = 1 - e * y - f * x
-        root = np.sqrt(half**2 - 4 * e * f * x * y)
-        k = 2 * x * y / (half + root)
-        good &= (point.sum(axis=1) > _DETERMINED).all(axis=1)
-        good &= (half > 0).all(axis=1) & (root > _DETERMINED).all(axis=1)
-        good &= (np.abs(x + e * k - u) < 1e-9).all(axis=1)
-    return good, rows, _product(plane, infinity), d
+    return good, rows, form

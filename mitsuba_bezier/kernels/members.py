@@ -34,7 +34,6 @@ class Roots:
     tolerance: list[Any]  #: Float, how far out of a patch it may be
     middle: list[Any]  #: three Float64, a point of the ray
     direction: list[Any]  #: three Float64
-    planar: Any  #: Bool: whether the quadric is a plane; None where nobody asks
 
     def exactly(self, along: Any) -> list[Any]:
         """Return the point of the ray at a number as in `along`, in float64."""
@@ -52,22 +51,6 @@ def _inside(m: list[Any], p: list[Any], tolerance: Any) -> Any:
     signed = [dr.mulsign(b, sign) for b in bary]
     lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
     return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
-
-
-def _on_member(
-    s: Structure, ty: Types, m: list[Any], leaf: Any, p: list[Any], tolerance: Any, run: Any
-) -> Any:
-    """As `_inside`, with the parameters of disks."""
-    inside = _inside(m, p, tolerance)
-    if not s.has_disks:
-        return inside
-    disk = m[14] <= -4.0
-    bary = _values(m, p)
-    number = dr.select(run & disk, leaf - s.first_group, 0)
-    d = gather_packets(s.rows, 2 * number + 1, 8, run & disk)[4:]
-    inverse = reciprocal(bary[0] + bary[1] + bary[2])
-    u, v = _in_disk(bary[0] * inverse, bary[1] * inverse, [ty.Float(x) for x in d])
-    return dr.select(disk, dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance, inside)
 
 
 def find_members(
@@ -96,13 +79,12 @@ def find_members(
     last = first + count
 
     def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
-        return _barycentrics(s, ty, leaf, roots.exactly(along), roots.planar, active)
+        return _barycentrics(s, ty, leaf, roots.exactly(along), active)
 
     def body(run, k, following, hit1, hit2, leaf1, leaf2, sides):
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
-        # a plane is met once
-        is_in1 = _on_member(s, ty, m, leaf, roots.point[0], roots.tolerance[0], run)
+        is_in1 = _inside(m, roots.point[0], roots.tolerance[0])
         is_in2 = _inside(m, roots.point[1], roots.tolerance[1])
         in1, in2 = want1 & ~hit1 & is_in1, want2 & ~hit2 & is_in2
         kept = leaf_test(s, leaf)
@@ -183,7 +165,7 @@ def find_members_singly(
             second = place >= 16
             p = [dr.select(second, b, a) for a, b in zip(*roots.point)]
             tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
-            found = go & _on_member(s, ty, m, leaf, p, tolerance, go)
+            found = go & _inside(m, p, tolerance)
             return go & ~found & (left != 0), left, found, second, leaf, mark
 
         no = ty.Bool(False)
@@ -199,7 +181,7 @@ def find_members_singly(
         by_newton = mark == INVERTED
         inside, u, v = inverted_parameters(s, ty, leaf, p, tolerance, found & by_newton)
         if not s.only_inverted:
-            other_u, other_v = _barycentrics(s, ty, leaf, p, roots.planar, found & ~by_newton)
+            other_u, other_v = _barycentrics(s, ty, leaf, p, found & ~by_newton)
             u, v = dr.select(by_newton, u, other_u), dr.select(by_newton, v, other_v)
         hit = found & (inside | ~by_newton)
         kept = leaf_test(s, leaf)
@@ -251,47 +233,28 @@ def _values(rows: list[Any], p: list[Any]) -> list[Any]:
     return [dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3] for r in range(3)]
 
 
-def _barycentrics(
-    s: Structure, ty: Types, leaf: Any, p: list[Any], planar: Any, active: Any
-) -> tuple[Any, Any]:
+def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
     """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32.
 
-    For sectors these are the first two from the corner on that is their middle. `planar` tells a
-    disk from a cone where there are both.
+    For sectors of cones these are the first two from the corner on that is their apex.
     """
-    sectors = s.has_cones or s.has_disks
     number = dr.select(active, leaf - s.first_group, 0)
-    m = gather_packets(s.rows, number, MEMBER if sectors else 12, active)
+    m = gather_packets(s.rows, number, MEMBER if s.has_cones else 12, active)
     bary = _values(m, p)
     total = ty.Float(bary[0] + bary[1] + bary[2])
     inv = reciprocal(dr.select(total == 0.0, 1.0, total))
     b0, b1, b2 = (ty.Float(b) for b in bary)
     u, v = b0 * inv, b1 * inv
-    if not sectors:
+    if not s.has_cones:
         return u, v
     # all that is no sector has a fourth row of zeros
-    if s.has_disks:
-        u, v = _in_disk(u, v, [ty.Float(x) for x in m[12:16]])
-    if s.has_cones:
-        last = ty.Float(dot3(m[12:15], p) + m[15])
-        is_cone = last != 0.0
-        if planar is not None:
-            is_cone = is_cone & ~planar
-        # through the larger: where a coordinate is small its root is not well known
-        first = b0 >= b2
-        large = dr.maximum(dr.select(first, b0, b2), 1e-30)
-        one = dr.sqrt(large / last)
-        other = one * b1 / (2.0 * large)
-        u = dr.select(is_cone, dr.select(first, one, other), u)
-        v = dr.select(is_cone, dr.select(first, other, one), v)
+    last = ty.Float(dot3(m[12:15], p) + m[15])
+    is_cone = last != 0.0
+    # through the larger: where a coordinate is small its root is not well known
+    first = b0 >= b2
+    large = dr.maximum(dr.select(first, b0, b2), 1e-30)
+    one = dr.sqrt(large / last)
+    other = one * b1 / (2.0 * large)
+    u = dr.select(is_cone, dr.select(first, one, other), u)
+    v = dr.select(is_cone, dr.select(first, other, one), v)
     return u, v
-
-
-def _in_disk(a: Any, b: Any, disk: list[Any]) -> tuple[Any, Any]:
-    """Return parameters of a sector of a disk; see `geometry.sector_leaves`."""
-    d0, d1, _d2, total = disk
-    e, f = dr.fma(total, a, -d0), dr.fma(total, b, -d1)
-    half = 1.0 - dr.fma(e, b, f * a)
-    root = dr.sqrt(dr.maximum(dr.fma(half, half, -4.0 * (e * f) * (a * b)), 0.0))
-    k = 2.0 * (a * b) / (half + root)
-    return dr.fma(k, e, a), dr.fma(k, f, b)

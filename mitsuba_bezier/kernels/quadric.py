@@ -111,10 +111,7 @@ def group_hit(
     p1 = [dr.fma(near32, d[i], middle[i]) for i in range(3)]
     p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
 
-    planar = None
-    if s.has_cones and s.has_disks:
-        planar = sum(dr.abs(a[i]) for i in range(6)) == 0.0
-    roots = Roots([want1, want2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd, planar)
+    roots = Roots([want1, want2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd)
     first, count = ty.UInt(g[13]), ty.UInt(g[14])
     if s.has_inverted:
         found = find_members_singly(s, ty, first, count, roots)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..geometry.inverted_leaves import margin_planes
-from ..geometry.leaves import DEVIATION, DISK, LEAST, SECTION, Leaves
+from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
 from ..geometry.quadric_fits import matrices
 from ..geometry.section_leaves import edge_planes, shared_map
 from ..geometry.sector_leaves import cone_planes
@@ -70,12 +70,8 @@ def group_records(
 
 
 def inverse_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
-    """Return the rows of exact leaves, unscaled; the fourth of a disk is its `DISK` and the sum."""
-    rows = leaves.frame[exact].reshape(-1, MEMBER)
-    disk = leaves.are_disks[exact]
-    d = leaves.form[exact][disk, DISK]
-    rows[disk, 12:15], rows[disk, 15] = d, d.sum(axis=1)
-    return rows
+    """Return the rows of exact leaves, unscaled."""
+    return leaves.frame[exact].reshape(-1, MEMBER)
 
 
 def member_records(
@@ -164,7 +160,7 @@ def cell_records(
     if not leaves.are_inverted.any() or not len(large):
         return np.zeros((0, CELLS), dtype=np.float32)
     groups[large, 14] += 32 * (1 + np.arange(len(large)))
-    # barycentrics have signs only up to a common factor, and those of disks are no bounds
+    # barycentrics have signs only up to a common factor
     bounded = (leaves.are_sections | leaves.are_inverted | leaves.are_cones)[exact]
     box = leaves.box[exact] - leaves.shift[exact][:, None]
     place = _cells()

@@ -68,9 +68,7 @@ class Structure:
     shared_section: list[Any] | None
     members: Any  #: Float32, x `MEMBER`
     cells: Any  #: Float32, x `CELLS`: of groups with a member for which `has_inverted`
-    #: Float64, x `MEMBER`: the rows of each member, unscaled; in place of the fourth the three
-    #: numbers of a disk, and their sum.
-    rows: Any
+    rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
     planes: Any  #: Float32, x K * 4: P and Q of each member (`section_leaves`), if one is a section
     domain: Any  #: Float32, x `DOMAIN`; nothing where leaves are patches, all of one kind
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
@@ -85,7 +83,6 @@ class Structure:
     only_inverted: bool  #: ... as on all exact leaves
     has_apexes: bool  #: whether some exact leaves have a point where their quadric is singular
     has_cones: bool  #: whether some exact leaves are sectors of cones
-    has_disks: bool  #: ... or of disks
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
@@ -103,7 +100,6 @@ class Structure:
             self.only_inverted,
             self.has_apexes,
             self.has_cones,
-            self.has_disks,
             dr.width(self.domain) < self.leaf_count * DOMAIN,
             dr.width(self.members) > dr.width(self.rows),
             dr.width(self.planes) * MEMBER // max(1, dr.width(self.rows)),
@@ -224,7 +220,6 @@ def build_structure(
         only_inverted=len(exact) > 0 and bool(leaves.are_inverted[exact].all()),
         has_apexes=bool((leaves.are_cones | _have_sides(leaves)).any()),
         has_cones=bool(leaves.are_cones.any()),
-        has_disks=bool(leaves.are_disks.any()),
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values())
         + nodes.bytes

@@ -215,9 +215,9 @@ def finish(
     patch = dr.reinterpret_array(ty.UInt, m[9])
     if s.has_sections:
         u, v = section_parameters(s, ty, leaf, u, v, valid & (m[11] == 1.0))
-    if s.has_cones or s.has_disks:  # counted from their middle on
+    if s.has_cones:  # counted from their apex on
         w = 1.0 - u - v
-        first, second = ((m[11] == -k) | (m[11] == -k - 3.0) for k in (1.0, 2.0))
+        first, second = m[11] == -1.0, m[11] == -2.0
         u, v = (
             dr.select(first, w, dr.select(second, v, u)),
             dr.select(first, u, dr.select(second, w, v)),
