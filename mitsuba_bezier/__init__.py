@@ -10,6 +10,10 @@ from . import _children
 
 _children.leave_current_folder()  # before anything else is imported
 
+from . import _signals  # noqa: E402
+
+_signals.begin_if_command()  # what follows takes a second, in which one can press Ctrl-C
+
 from typing import Any  # noqa: E402
 
 from . import _runtime  # noqa: E402

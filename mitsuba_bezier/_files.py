@@ -14,16 +14,19 @@ import contextlib
 import errno
 import os
 import secrets
+import shutil
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
+from . import _signals
 from .errors import FileFormatError
 
-__all__ = ["check_target", "discard_unfinished", "encoded", "write_file"]
+__all__ = ["check_target", "encoded", "temporary_folder", "write_file"]
 
-#: Temporary files that exist, or are about to; what ends the process at once removes them.
+#: Temporary files and folders that exist, or are about to; the end by a signal removes them.
 _unfinished: set[str] = set()
+_written: set[str] = set()
 
 _EXCLUSIVE = (
     os.O_WRONLY
@@ -134,18 +137,35 @@ def encoded(write: Callable[[str], None]) -> bytes:
                 return file.read()
         finally:
             os.close(descriptor)
-    with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
+    with temporary_folder() as folder:
         name = os.path.join(folder, "file")
         write(name)
         with open(name, "rb") as file:
             return file.read()
 
 
-def discard_unfinished() -> None:
-    """Remove all temporary files: for what ends the process at once."""
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[str]:
+    """Give a folder for the block; it is removed afterwards, also by the end through a signal."""
+    folder = os.path.join(tempfile.gettempdir(), f"mitsuba_bezier_{secrets.token_hex(8)}")
+    _unfinished.add(folder)
+    try:
+        os.mkdir(folder, 0o700)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _unfinished.discard(folder)
+
+
+def _discard_unfinished() -> str:
     for path in list(_unfinished):
+        shutil.rmtree(path, ignore_errors=True)
         with contextlib.suppress(OSError):
             os.unlink(path)
+    return "" if _written else ", no file was written"
+
+
+_signals.always_at_end(_discard_unfinished)
 
 
 def _refuse(path: str, parameter: str) -> None:
@@ -225,6 +245,7 @@ def _replace(path: str, data: memoryview) -> None:
             raise
         os.close(descriptor)  # some network file systems tell only here that the disk is full
         os.replace(temporary, path)
+        _written.add(path)
     finally:
         with contextlib.suppress(OSError):
             os.unlink(temporary)

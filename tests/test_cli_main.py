@@ -106,3 +106,16 @@ def test_as_a_program():
     assert done.stderr == (
         "mitsuba-bezier: error: SCENE: expected an existing scene file (.xml), got nowhere.xml\n"
     )
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), RuntimeError("jit_malloc(): out of memory! Could not allocate")]
+)
+def test_too_little_memory_is_one_line(monkeypatch, capsys, error):
+    def fail(_args):
+        raise error
+
+    monkeypatch.setattr(import_module("mitsuba_bezier.cli.doctor"), "run", fail)
+    assert run("doctor") == 2
+    err = capsys.readouterr().err
+    assert err == "mitsuba-bezier: error: this takes more memory than there is\n"

@@ -18,6 +18,7 @@ LAYERS = {
     "errors": 0,
     "_version": 0,
     "_children": 0,
+    "_signals": 0,
     "_files": 1,
     "_llvm": 1,
     "_runtime": 2,

@@ -13,8 +13,10 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
+from .. import _signals
 from .._version import __version__
 from ..errors import BezierError
+from . import _streams
 from ._limits import limits
 
 __all__ = ["COMMANDS", "main"]
@@ -25,7 +27,7 @@ PROGRAM = "mitsuba-bezier"
 COMMANDS = ("render", "verify", "compare", "merge", "convert", "info", "doctor")
 
 EXIT_ERROR = 2
-EXIT_INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
+EXIT_INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended, see `_signals`
 
 
 class _Parser(argparse.ArgumentParser):
@@ -69,28 +71,46 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         0 on success, 1 if a check of the command failed, 2 on a user's error (told in one line
-        on stderr), 130 after Ctrl-C.
+        on stderr), 130 after Ctrl-C, 143 after SIGTERM.
     """
-    words = list(sys.argv[1:] if argv is None else argv)
+    if argv is not None:
+        return _run(list(argv))
+    _signals.begin()
+    _streams.prepare()
+    try:
+        code = _run(sys.argv[1:])
+    except SystemExit as end:  # argparse ends this way
+        code = int(end.code or 0)
+    try:
+        sys.stdout.flush()
+    except BezierError as error:  # what was printed has not arrived
+        code = _tell(error)
+    return code
+
+
+def _run(words: list[str]) -> int:
     args = _parser(words).parse_args(words)
     args.argv = [PROGRAM, *words]
-    args.is_process = argv is None
     try:
         with limits(args):
             return import_module(f".{args.command}", __package__).run(args)
     except KeyboardInterrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except MemoryError:
-        if args.debug:
+    except (BezierError, OSError, MemoryError, RuntimeError) as error:
+        # a RuntimeError of Dr.Jit; all others are mistakes of ours, which are not dressed up
+        if args.debug or (isinstance(error, RuntimeError) and "out of memory" not in str(error)):
             raise
-        print(f"{PROGRAM}: error: this takes more memory than there is", file=sys.stderr)
-        return EXIT_ERROR
-    except (BezierError, OSError) as error:
-        if args.debug:
-            raise
-        print(f"{PROGRAM}: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return EXIT_ERROR
+        return _tell(error)
+
+
+def _tell(error: Exception) -> int:
+    """Tell an error in one line and return the exit code."""
+    text = " ".join(str(error).split())
+    if not isinstance(error, (BezierError, OSError)):
+        text = "this takes more memory than there is"
+    print(f"{PROGRAM}: error: {text}", file=sys.stderr)
+    return EXIT_ERROR
 
 
 if __name__ == "__main__":

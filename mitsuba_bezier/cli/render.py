@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from .. import _runtime
+from .. import _runtime, _signals
 from .._version import __version__
 from ..errors import BezierError, RuntimeSetupError
 from ._limits import add_limits
@@ -152,7 +149,7 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     with (
         _progress(scene_file.name, ours, args.quiet) as (report, stop),
-        _stop_at_once(stop, active=args.is_process),
+        _signals.at_end(stop),
     ):
         rendering = _passes.render(
             loaded.scene,
@@ -262,37 +259,3 @@ def _progress(
     with progress:
         task = progress.add_task(title, total=sum(passes))
         yield lambda index: progress.advance(task, passes[index]), progress.stop
-
-
-@contextmanager
-def _stop_at_once(stop: Callable[[], None], active: bool) -> Iterator[None]:
-    """Let Ctrl-C end the process within a pass, not seconds later when its kernel is done.
-
-    Python runs signal handlers between bytecodes of the main thread, and that one waits in
-    Dr.Jit. The signal's number, however, is written to a descriptor at once, which a second
-    thread can wait for. No file is open during the passes, so the process may just end.
-    """
-    if not active or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-
-    def watch() -> None:
-        while (number := os.read(reading, 1)) and number[0] != signal.SIGINT:
-            pass
-        if number:
-            stop()
-            print("mitsuba-bezier: interrupted, no file was written", file=sys.stderr)
-            sys.stderr.flush()
-            os._exit(130)
-
-    threading.Thread(target=watch, daemon=True).start()
-    descriptor = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    handler = signal.signal(signal.SIGINT, lambda *_: None)  # no KeyboardInterrupt besides
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        signal.set_wakeup_fd(descriptor)
-        os.close(writing)  # ends the thread

@@ -8,11 +8,11 @@ import math
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._files import temporary_folder
 from .._runtime import check, import_mitsuba
 from ..errors import BezierError
 from ..geometry.triangles import BezierTriangles
@@ -94,7 +94,7 @@ def cast(
 
     mi = import_mitsuba()
     patches = case.patches() if patches is None else patches
-    with TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         # a file keeps float64, which a tensor of this variant does not
         net = Path(folder) / "patches.vtu"
         patches.save(net)

@@ -13,7 +13,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -24,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from .._children import python_command
+from .._files import temporary_folder
 from ..errors import BezierError, FileFormatError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
@@ -64,7 +64,7 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
     """
     size = len(read_bytes(path))  # a missing file is told at once
     seconds, memory = seconds_limit(size), memory_limit(size)
-    with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
+    with temporary_folder() as folder:
         out = Path(folder) / "model.npz"
         arguments = [module, str(path), str(out), str(seconds), str(memory), str(int(trims))]
         arguments += [str(os.getpid())]
