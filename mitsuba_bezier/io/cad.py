@@ -28,7 +28,8 @@ import numpy as np
 from ..errors import FileFormatError
 from ..geometry import bernstein
 from ..geometry.trims import Trims
-from .cad_surfaces import angular_axes, curve_pieces, parameter_map, surface_grid
+from .cad_surfaces import angular_axes, closed_axes, curve_pieces, parameter_map, surface_grid
+from .closed_surfaces import BoundaryEdge, leaves_period, unrolled
 from .files import damaged, read_bytes
 from .isolated import read_isolated
 from .nurbs_surface import bezier_points
@@ -197,9 +198,12 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str, trims: bool) 
     surface = occ.brep.BRep_Tool.Surface_s(face)
     while isinstance(surface, occ.geom.Geom_RectangularTrimmedSurface):
         surface = surface.BasisSurface()
-    edge_curves = _trims(occ, face)
-    curves = [curve for edge in edge_curves for curve in edge]
     kind = type(surface).__name__.removeprefix("Geom_")
+    boundary = _boundary(occ, face, surface)
+    if isinstance(boundary, str):
+        return f"{kind}: {boundary}"
+    edge_curves = boundary
+    curves = [curve for edge in edge_curves for curve in edge]
     if not curves:
         bounds = surface.Bounds()
         if not np.abs(bounds).max() < 1e50:
@@ -209,8 +213,6 @@ def _convert(occ: Any, face: Any, collector: Collector, name: str, trims: bool) 
         curves = [np.stack([a, b]) for a, b in zip(corners, np.roll(corners, -1, axis=0))]
         curves = [np.pad(c, ((0, 0), (0, 1)), constant_values=1.0) for c in curves]
         edge_curves = [c[None] for c in curves]
-    if any((c[:, 2] <= 0).any() for c in curves):
-        return "trimmed by curves with weights that are not positive"
     points = [c[:, :2] / c[:, 2:] for c in curves]
     flat = np.concatenate(points)
     extent = np.ptp(flat, axis=0)
@@ -276,19 +278,38 @@ def _orient(nets: np.ndarray, turned: bool) -> np.ndarray:
     return nets[:, bernstein.permutation(n, (0, 2, 1))]
 
 
-def _trims(occ: Any, face: Any) -> list[np.ndarray]:
-    """Return the edges of a face as chains of rational Bézier curves ``(S, n+1, 3)`` in (u, v)."""
-    out = []
-    for item in _explore(occ, face, occ.abs.TopAbs_EDGE):
-        edge = occ.edge(item)
+def _boundary(occ: Any, face: Any, surface: Any) -> list[np.ndarray] | str:
+    """Return the boundary of a face as chains of rational Bézier curves ``(S, n+1, 3)`` in (u, v).
+
+    On a closed surface they are laid out in one period.
+    """
+    edges = []
+    items = [occ.edge(item) for item in _explore(occ, face, occ.abs.TopAbs_EDGE)]
+    for edge in items:
         if edge.Orientation() not in (occ.abs.TopAbs_FORWARD, occ.abs.TopAbs_REVERSED):
             continue  # internal edges bound nothing
         adaptor = occ.adaptor.BRepAdaptor_Curve2d(edge, face)
         first, last = adaptor.FirstParameter(), adaptor.LastParameter()
         curve = occ.geom2d.Geom2d_TrimmedCurve(adaptor.Curve(), first, last)
-        spline = occ.convert2d.CurveToBSplineCurve_s(curve)
-        out.append(curve_pieces(spline, 2)[0])
-    return out
+        pieces = curve_pieces(occ.convert2d.CurveToBSplineCurve_s(curve), 2)[0]
+        if (pieces[..., 2] <= 0).any():
+            return "trimmed by curves with weights that are not positive"
+        if edge.Orientation() == occ.abs.TopAbs_REVERSED:
+            pieces = pieces[::-1, ::-1]
+        seam = occ.brep.BRep_Tool.IsClosed_s(edge, face) and sum(map(edge.IsSame, items)) > 1
+        edges.append(BoundaryEdge(pieces, seam))
+    axes = closed_axes(occ, surface)
+    if not edges or not axes.period.any():
+        return [edge.curves for edge in edges]
+    if leaves_period(edges, axes) or not _closes([c for e in edges for c in e.curves]):
+        return unrolled(edges, axes)
+    return [edge.curves for edge in edges]
+
+
+def _closes(curves: list[np.ndarray]) -> bool:
+    flat = np.concatenate([bezier_points(c, _SAMPLES) for c in curves])
+    box = np.stack([flat.min(axis=0), flat.max(axis=0)], axis=1)
+    return not isinstance(closed_boundary(curves, box), str)
 
 
 def _plane_region(

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from .closed_surfaces import ClosedAxes
 from .nurbs import curve_to_bezier
 from .nurbs_surface import PatchGrid
 
@@ -22,6 +23,7 @@ __all__ = [
     "angle_map",
     "angular_axes",
     "arc",
+    "closed_axes",
     "curve_pieces",
     "parameter_map",
     "surface_grid",
@@ -251,6 +253,34 @@ def _profile(
     pieces, breaks = arc(low, high)
     c, s, w = np.moveaxis(pieces, -1, 0)
     return np.stack([major * w + minor * c, minor * s, w], axis=-1), breaks
+
+
+def closed_axes(occ: Any, surface: Any) -> ClosedAxes:
+    """Return along which parameters a surface is closed, and where it has poles."""
+    u0, u1, v0, v1 = surface.Bounds()
+    bounds = np.array([[u0, u1], [v0, v1]])
+    period = np.zeros(2)
+    if surface.IsUClosed():
+        period[0] = surface.UPeriod() if surface.IsUPeriodic() else u1 - u0
+    if surface.IsVClosed():
+        period[1] = surface.VPeriod() if surface.IsVPeriodic() else v1 - v0
+    poles: tuple[list[float], list[float]] = ([], [])
+    if isinstance(surface, occ.geom.Geom_ConicalSurface):
+        poles[1].append(float(-surface.RefRadius() / np.sin(surface.SemiAngle())))
+    for axis in range(2):
+        if period[axis] or not period[1 - axis] or np.abs(bounds[axis]).max() > 1e50:
+            continue
+        along = bounds[1 - axis, 0] + period[1 - axis] * np.array([0.0, 0.23, 0.46, 0.71])
+        lines = [
+            np.array([_vector(surface.Value(*((x, y) if axis == 0 else (y, x)))) for y in along])
+            for x in [*bounds[axis], bounds[axis].mean()]
+        ]
+        size = np.ptp(np.concatenate(lines), axis=0).max()
+        for x, line in zip(bounds[axis], lines):
+            # 1e-7 of the size: the precision OpenCASCADE works with
+            if np.ptp(line, axis=0).max() <= 1e-7 * size:
+                poles[axis].append(float(x))
+    return ClosedAxes(bounds[:, 0], period, poles)
 
 
 def _identity(x: np.ndarray) -> np.ndarray:
