@@ -1,0 +1,241 @@
+"""Run kernels of CUDA on the CPU and compare them with LLVM's: a process of its own for some cases.
+
+    python -m cuda_standin.cases FOLDER CASE ...
+
+with the environment of `standin.environment`. What Dr.Jit generates for a case is left in
+FOLDER/CASE. Prints a line of JSON for each case: its name and what `differences` returns.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import mitsuba_bezier as mb  # isort: skip (first: it chooses Dr.Jit's LLVM)
+import drjit as dr
+import numpy as np
+from drjit import cuda, llvm
+
+from mitsuba_bezier.geometry.leaf_builder import build_leaves
+from mitsuba_bezier.geometry.leaves import LeafSettings, Leaves
+from mitsuba_bezier.geometry.trim_cells import trim_cells
+from mitsuba_bezier.geometry.trims import Trims, square_map
+from mitsuba_bezier.kernels import batch
+from mitsuba_bezier.kernels.copies import build_copies, intersect_copies
+from mitsuba_bezier.kernels.curvature import affine_second_partials, evaluate_second
+from mitsuba_bezier.kernels.patch import affine_partials, evaluate, pack
+from mitsuba_bezier.kernels.structure import build_structure
+from mitsuba_bezier.kernels.traverse import intersect
+from mitsuba_bezier.kernels.trim_table import build_table
+
+__all__ = ["CASES"]
+
+COUNT = 400
+GENERAL = LeafSettings(closed_form=False)
+#: A structure for the array types of an argument.
+Structures = Callable[[Any], Any]
+
+
+def rays(count: int = COUNT) -> list[np.ndarray]:
+    """Return the columns of origins and directions, from all sides to what is in the unit ball.
+
+    Half of them start inside of it, and a quarter graze the unit sphere.
+    """
+    rng = np.random.default_rng(7)
+    a, b, c = rng.normal(size=(3, count, 3))
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    kind = np.arange(count)[:, None] % 4
+    along = np.cross(a, c) / np.linalg.norm(np.cross(a, c), axis=1, keepdims=True)
+    depth = 1 - 10.0 ** -rng.uniform(2, 4, (count, 1))
+    b *= 1.1 * np.cbrt(rng.random((count, 1))) / np.linalg.norm(b, axis=1, keepdims=True)
+    o = np.select([kind == 0, kind == 1], [a * depth - 2.5 * along, a * 2.5], a * 0.4)
+    d = np.where(kind == 0, along, b - o)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    return [np.ascontiguousarray(x, dtype=np.float32) for x in (*o.T, *d.T)]
+
+
+def plain(leaves: Leaves) -> Structures:
+    return lambda like: build_structure(leaves, like)
+
+
+def at_infinity() -> mb.BezierTriangles:
+    """The image of a sphere under a collineation that takes a plane that cuts it to infinity.
+
+    Its general leaves are projective, some of them.
+    """
+    m = np.eye(4)
+    m[3] = (0.2, 0.1, 0.9, 0.6)
+    return mb.sphere(cover="octants").transform(m)
+
+
+def inverted() -> Leaves:
+    """Triangles of a sphere whose edges are no circles: parameters by Newton's method."""
+    patches = mb.sphere(cover="octants").elevate(1)
+    corners = [(0.8, 0.1, 0.1), (0.2, 0.7, 0.1), (0.1, 0.2, 0.7)]
+    leaves = build_leaves(patches.subtriangle(np.array(corners)))
+    assert leaves.are_inverted.all()
+    return leaves
+
+
+def trimmed() -> Structures:
+    """A torus of which a window is left in each patch, with two straight sides and an arc."""
+    patches = mb.torus(tube=0.3)
+    corners = [(0.9, 0.05, 1.0), (0.05, 0.05, 1.0), (0.05, 0.9, 1.0)]
+    arc = [corners[2], (0.3, 0.3, 0.6), corners[0]]
+    window = [*map(list, pairwise(corners)), arc]
+    size = len(patches)
+    trims = Trims([window], [0] * size, [square_map()] * size, [[[0, 0], [1, 1]]] * size)
+    leaves = build_leaves(patches)
+    cells, cell, keep = trim_cells(trims, leaves.patch, leaves.corners())
+    kept = leaves.select(keep)
+    return lambda like: build_structure(kept, like, (build_table(cells, like), cell[keep]))
+
+
+def several_kinds() -> Leaves:
+    """Closed forms beside graphs, affine and projective: all branches in one kernel."""
+    parts = [mb.sphere(cover="tetrahedral"), mb.torus(tube=0.3), at_infinity()]
+    leaves = [build_leaves(parts[0]), build_leaves(parts[1]), build_leaves(parts[2], GENERAL)]
+    first = np.cumsum([0, *(len(p) for p in parts)])
+    return Leaves.join([replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())])
+
+
+STRUCTURES: dict[str, Callable[[], Structures]] = {
+    "tetrahedral": lambda: plain(build_leaves(mb.sphere(cover="tetrahedral"))),
+    "octants": lambda: plain(build_leaves(mb.sphere(cover="octants"))),
+    "capped cone": lambda: plain(build_leaves(mb.cone(capped=True))),
+    "inverted": lambda: plain(inverted()),
+    "general": lambda: plain(build_leaves(mb.sphere(cover="octants"), GENERAL)),
+    "torus": lambda: plain(build_leaves(mb.torus(tube=0.3))),
+    "infinity": lambda: plain(build_leaves(at_infinity(), GENERAL)),
+    "several kinds": lambda: plain(several_kinds()),
+    "trims": trimmed,
+}
+
+
+def found(structures: Structures, like: Any, any_hit: bool) -> dict[str, np.ndarray]:
+    columns = [like(x) for x in rays()]
+    hit = intersect(structures(like), columns[:3], columns[3:], like(np.inf), True, any_hit)
+    dr.eval(hit)
+    return {name: np.array(x) for name, x in zip(hit._fields, hit)}
+
+
+def in_batch(structures: Structures, like: Any, any_hit: bool) -> dict[str, np.ndarray]:
+    batch._FEW, batch._SHARE = 16, 5  # all rounds, and lanes that take several rays
+    columns = [like(x) for x in rays()]
+    s = structures(like)
+    assert s.has_graphs and s.has_affine and s.has_projective
+    hit = batch.intersect_batch(s, columns[:3], columns[3:], like(np.inf), True, any_hit)
+    dr.eval(hit)
+    return {name: np.array(x) for name, x in zip(hit._fields, hit)}
+
+
+def among_copies(patches: mb.BezierTriangles, like: Any, any_hit: bool) -> dict[str, np.ndarray]:
+    leaves = build_leaves(patches)
+    s = build_structure(leaves, like, None, np.zeros(len(leaves), dtype=int))
+    rng = np.random.default_rng(3)
+    count = 12
+    matrices = np.tile(np.eye(4), (count, 1, 1))
+    matrices[:, :3, :3] *= 0.35 * rng.uniform(0.5, 1, (count, 1, 1))
+    matrices[:, :3, 3] = rng.uniform(-0.8, 0.8, (count, 3))
+    low, high = patches.bounds()[:, 0].min(axis=0), patches.bounds()[:, 1].max(axis=0)
+    boxes = np.stack([low, high])[None] * matrices[:, 0, 0, None, None] + matrices[:, None, :3, 3]
+    copies = build_copies(s, boxes, np.zeros(count, dtype=int), matrices, like)
+    columns = [like(x) for x in rays()]
+    hit, copy = intersect_copies(copies, columns[:3], columns[3:], like(np.inf), True, any_hit)
+    dr.eval(hit, copy)
+    return {name: np.array(x) for name, x in zip((*hit._fields, "copy"), (*hit, copy))}
+
+
+Run = Callable[[Any], "dict[str, np.ndarray]"]
+
+
+def _case(run: Callable[..., Any], make: Callable[[], Any], any_hit: bool) -> Run:
+    return lambda like: run(make(), like, any_hit)
+
+
+CASES: dict[str, Run] = {}
+for _any, _kind in ((False, "closest"), (True, "any")):
+    for _name, _make in STRUCTURES.items():
+        CASES[f"{_name}, {_kind}"] = _case(found, _make, _any)
+    CASES[f"batch, {_kind}"] = _case(in_batch, STRUCTURES["several kinds"], _any)
+    CASES[f"copies, {_kind}"] = _case(among_copies, lambda: mb.torus(tube=0.3), _any)
+
+
+def _points(like: Any) -> dict[str, np.ndarray]:
+    """Points with first and second partials, from nets."""
+    patches = mb.torus(tube=0.3)
+    nets = like(pack(patches.control_points).ravel())
+    rng = np.random.default_rng(1)
+    uv = rng.dirichlet((1, 1, 1), COUNT)
+    patch = dr.uint32_array_t(like)(rng.integers(0, len(patches), COUNT).astype(np.uint32))
+    u, v = (like(np.ascontiguousarray(uv[:, k], dtype=np.float32)) for k in range(2))
+    first = affine_partials(*evaluate(nets, patches.degree, patch, u, v))
+    second = affine_second_partials(evaluate_second(nets, patches.degree, patch, u, v))
+    values = [x for y in (*first, *second) for x in y]
+    dr.eval(values)
+    return {str(i): np.array(x) for i, x in enumerate(values)}
+
+
+CASES["points"] = _points
+
+
+def _reciprocals(like: Any) -> dict[str, np.ndarray]:
+    """What is not to be done: `dr.rcp` in float64, which has 20 bits on CUDA."""
+    x = dr.rcp(dr.float64_array_t(like)(np.linspace(1.0, 2.0, COUNT)))
+    dr.eval(x)
+    return {"x": np.array(x)}
+
+
+CASES["dr.rcp"] = _reciprocals
+
+
+def differences(name: str, one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict:
+    """Compare what was found on CUDA (`one`) with what LLVM found.
+
+    Returns the share of `hits`, how many rays differ in what they hit, and the largest
+    differences of t (relative), u and v where they hit the same.
+    """
+    if "valid" not in one:
+        scale = {k: 1 + np.abs(x).max() for k, x in other.items()}
+        off = max(float(np.abs(one[k] - x).max() / scale[k]) for k, x in other.items())
+        return {"values": off}
+    valid = other["valid"]
+    result = {"hits": float(valid.mean()), "rays": len(valid)}
+    different = one["valid"] != valid
+    if "closest" not in name:
+        return {**result, "different": int(different.sum())}
+    both = one["valid"] & valid
+    for key in {"patch", "copy"} & set(one):
+        different |= both & (one[key] != other[key])
+    same = ~different & valid
+    result["different"] = int(different.sum())
+    for key, scale in (("t", np.abs(other["t"])), ("u", 1.0), ("v", 1.0)):
+        off = np.abs(one[key] - other[key]) / scale
+        result[key] = float(off[same].max(initial=0.0))
+    return result
+
+
+def main(folder: Path, names: list[str]) -> None:
+    # as plugins.scene_data records kernels
+    for flag in (dr.JitFlag.SymbolicLoops, dr.JitFlag.SymbolicConditionals):
+        dr.set_flag(flag, True)
+    for name in names:
+        wide = name.startswith("float64: ")
+        out = folder / name
+        out.mkdir(parents=True)
+        os.environ["CUDA_STANDIN_OUT"] = str(out)
+        dr.flush_kernel_cache()  # so that kernels of another case are loaded again
+        run = CASES[name.removeprefix("float64: ")]
+        on_cuda = run(cuda.Float64 if wide else cuda.Float)
+        on_llvm = run(llvm.Float64 if wide else llvm.Float)
+        print(json.dumps({"case": name, **differences(name, on_cuda, on_llvm)}), flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])
