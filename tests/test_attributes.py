@@ -407,7 +407,7 @@ def test_emitters_that_cannot_sit_on_a_shape(kind):
 
 @pytest.mark.parametrize("name", ["texcords", "tex_coords", "facecolour"])
 def test_misspelt_parameters(name):
-    with pytest.raises(RuntimeError, match=rf"unreferenced property(.|\n)*{name}"):
+    with pytest.raises(RuntimeError, match=f"unknown parameter '{name}'; did you mean"):
         mi.load_dict(bezier(**{name: 0.5}))
 
 

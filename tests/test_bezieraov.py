@@ -292,7 +292,7 @@ def test_derivatives_with_a_nested_integrator():
         ({"aovs": "", "light": {"type": "ptracer"}}, ["light: expected an integrator"]),
         ({"aovs": "", "stone": {"type": "sphere"}}, ["stone: expected an integrator"]),
         ({"aovs": "", "max_depth": 3}, ["bezieraov: expected no path depth", "max_depth"]),
-        ({"aovs": "", "aov": "x:uv"}, ["unreferenced property", "aov"]),
+        ({"aovs": "", "aov": "x:uv"}, ["unknown parameter 'aov'; did you mean 'aovs'?"]),
     ],
 )
 def test_bad_input(properties, words):

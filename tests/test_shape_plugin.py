@@ -255,9 +255,9 @@ def test_bad_files(tmp_path):
 
 
 def test_a_misspelt_property_is_an_error():
-    with pytest.raises(RuntimeError, match=r"unreferenced property(.|\n)*flip_normal\b"):
+    with pytest.raises(RuntimeError, match="unknown parameter 'flip_normal'; did you mean"):
         mi.load_dict(bezier(flip_normal=True))
-    with pytest.raises(RuntimeError, match=r"unreferenced property(.|\n)*control_point\b"):
+    with pytest.raises(RuntimeError, match="unknown parameter 'control_point'; did you mean"):
         mi.load_dict(bezier(control_point=1.0))
 
 

@@ -113,6 +113,10 @@ def _one_line(message: str) -> str:
     message = re.sub(
         r"Traceback \(most recent call last\):\n(?:[ \t].*\n)*(?:[\w.]+: )?", "", message
     )
+    # what our plugins say needs no such introduction
+    message = re.sub(
+        r'failed to instantiate \w+ plugin of type "(bezier\w*)": (\1: )?', r"\1: ", message
+    )
     return " ".join(message.split())
 
 

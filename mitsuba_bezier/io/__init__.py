@@ -168,8 +168,9 @@ def writer_options(path: str | PathLike[str], options: dict[str, Any]) -> None:
     known = _OPTIONS.get(Path(path).suffix.lower(), ())
     for name in options:
         if name not in known:
+            suffix, names = Path(path).suffix, " or ".join(known) or "none"
             raise FileFormatError.expected(
-                name, f"no such option for {Path(path).suffix} files", repr(options[name])
+                name, f"no such option for {suffix} files ({names})", repr(options[name])
             )
     folder = Path(path).parent
     if not folder.is_dir():

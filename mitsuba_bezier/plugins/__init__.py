@@ -33,10 +33,15 @@ def _maker(name: str) -> Any:
 def _instantiate(name: str, props: Any) -> Any:
     """Make a plugin; a scalar variant ends here, in an error that names the usable ones."""
     _runtime.check(mi.variant())
+    from .spelling import check_known, check_read
+
     key = (name, mi.variant())
     if key not in _classes:
         _classes[key] = _maker(name)()
-    return _classes[key](props)
+    check_known(name, props)
+    plugin = _classes[key](props)
+    check_read(name, props)
+    return plugin
 
 
 def _on_variant(_old: str | None, new: str | None) -> None:
