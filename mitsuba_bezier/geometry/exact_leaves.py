@@ -6,6 +6,7 @@ import numpy as np
 
 from . import bernstein
 from .leaves import LEAST, Leaves
+from .linear import inverses
 from .quadric_fits import in_space, local_nets, plane_forms
 from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
@@ -83,10 +84,8 @@ def _planar_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     found = s[:, 2] > 1e-6 * s[:, 0]
     plane = vt[:, 3]
     found &= np.linalg.norm(plane[:, :3], axis=1) > 1e-12  # not the plane at infinity
-    matrix = np.concatenate([local, plane[:, None]], axis=1).transpose(0, 2, 1)
-    matrix = np.where(found[:, None, None], matrix, np.eye(4))
-    rows = np.linalg.inv(matrix)[:, :3]
-    return rows, plane_forms(plane), found
+    inverse, regular = inverses(np.concatenate([local, plane[:, None]], axis=1).transpose(0, 2, 1))
+    return inverse[:, :3], plane_forms(plane), found & regular
 
 
 def _least_sum(rows: np.ndarray, shift: np.ndarray, nets: np.ndarray, n: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from .leaves import (
     round_reach,
     weight_signs,
 )
+from .linear import inverses
 from .triangles import BezierTriangles
 
 __all__ = ["subdivide"]
@@ -135,8 +136,10 @@ def _flat(nets: np.ndarray) -> np.ndarray:
     p = _affine(np.where(finite[:, None, None], nets, 1.0))
     size = np.abs(p).max(axis=2).min(axis=1)  # the nearest: a leaf may reach far out
     p = p - p.mean(axis=1, keepdims=True)
-    spread = np.linalg.eigvalsh(np.einsum("pka,pkb->pab", p, p))[:, 0]
-    return finite & (spread < (_FLAT * size) ** 2)
+    finite &= np.isfinite(p).all(axis=(1, 2))
+    # not by eigenvalues of squares: rounding alone makes some 1e-8 of the extent of their roots
+    spread = np.linalg.svd(np.where(finite[:, None, None], p, 0.0), compute_uv=False)[:, -1]
+    return finite & (spread < _FLAT * size)
 
 
 def _waiting(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
@@ -235,13 +238,11 @@ def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, n
         _u, _s, vt = np.linalg.svd(np.where(np.isfinite(far), far, 0.0))
         apex[~finite, :] = vt[:, 3] * scale[~finite].mean(axis=1)[:, None]
     basis = np.concatenate([basis, apex[:, None]], axis=1)
-    usable = np.isfinite(basis).all(axis=(1, 2))
-    basis[~usable] = np.eye(4)
-    columns = basis.transpose(0, 2, 1)
-    # of the matrix that is inverted: a pivot of zero makes both fail, or neither
-    usable &= np.abs(np.linalg.det(columns)) > 1e-30
-    basis[~usable] = np.eye(4)
-    inverse = np.linalg.inv(columns)  # coordinates (U0, U1, U2, s)
+    local = basis.copy()
+    with np.errstate(all="ignore"):  # in the size of the leaf
+        local[..., :3] /= np.abs(basis[..., :3]).max(axis=(1, 2), keepdims=True)
+    # coordinates (U0, U1, U2, s)
+    inverse, usable = inverses(basis.transpose(0, 2, 1), local.transpose(0, 2, 1))
     rows[:, 0], rows[:, 1], rows[:, 2] = inverse[:, 0], inverse[:, 1], inverse[:, 3]
     rows[:, 3] = inverse[:, :3].sum(axis=1)
     # the affine chart's origin is the shift itself, so only a 3x3 matrix is left

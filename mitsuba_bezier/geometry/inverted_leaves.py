@@ -168,11 +168,10 @@ def _may_lie_on_quadrics(local: np.ndarray, n: int) -> np.ndarray:
     """Tell, quickly, which nets may lie on a quadric, from ten points of each."""
     lattice = bernstein.multi_indices(3)[:, :2] / 3.0
     points = bernstein.basis(n, lattice) @ local
-    points = points / np.linalg.norm(points, axis=2, keepdims=True)
+    points = points / np.maximum(np.linalg.norm(points, axis=2, keepdims=True), 1e-300)
     system = np.stack([points[..., i] * points[..., j] for i, j in FORM_ENTRIES], axis=-1)
-    # so that no pivot is exactly zero
-    system += 1e-14 * np.random.default_rng(1).random((10, 10))
-    return np.linalg.norm(np.linalg.inv(system), axis=(1, 2)) > _CONDITION
+    s = np.linalg.svd(system, compute_uv=False)
+    return s[:, -1] * _CONDITION < s[:, 0]
 
 
 def _fit(local: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -318,12 +317,11 @@ def _rows(
     value = np.einsum("prc,psc->psr", rows[:, :2], points)
     value = value / np.einsum("pc,psc->ps", d, points)[..., None]
     plane = np.concatenate([value, np.ones_like(value[..., :1])], axis=2)
-    gram = plane.transpose(0, 2, 1) @ plane
-    usable = np.isfinite(gram).all(axis=(1, 2))
-    gram[~usable] = np.eye(3)
-    usable &= np.linalg.cond(gram) < 1 / _ROUNDING**2
-    gram[~usable] = np.eye(3)
-    affine = np.linalg.solve(gram, plane.transpose(0, 2, 1) @ uv).transpose(0, 2, 1)
+    usable = np.isfinite(plane).all(axis=(1, 2))
+    u, s, vt = np.linalg.svd(np.where(usable[:, None, None], plane, 0.0), full_matrices=False)
+    usable &= s[:, 2] > _ROUNDING * s[:, 0]
+    inverse = np.where(usable[:, None], 1.0 / np.where(usable[:, None], s, 1.0), 0.0)
+    affine = np.einsum("psi,sd,pi,pij->pdj", u, uv, inverse, vt, optimize=True)
     rows[:, :2] = affine[..., :2] @ rows[:, :2] + affine[..., 2:] * d[:, None]
     rows[:, 2] = d - rows[:, 0] - rows[:, 1]
     good &= usable & np.isfinite(rows).all(axis=(1, 2))

@@ -19,6 +19,7 @@ import numpy as np
 
 from . import bernstein
 from .leaves import SECTION, Leaves, weight_signs
+from .linear import inverses
 from .quadric_fits import fit_forms, in_space, local_nets, matrices
 from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
@@ -119,7 +120,10 @@ def shared_map(leaves: Leaves, planes: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """
     sides = np.zeros((len(leaves), 4, 4))
     sides[:, :3], sides[:, 3, 3] = planes, 1.0
-    matrix = leaves.frame[:, :3] @ np.linalg.inv(sides)
+    inverse, regular = inverses(sides)
+    if not regular.all():
+        return None
+    matrix = leaves.frame[:, :3] @ inverse
     matrix /= np.abs(matrix).max(axis=(1, 2), keepdims=True)
     matrix, net = matrix.mean(axis=0), leaves.net.mean(axis=0)
     for first in range(0, len(leaves), _CHUNK):

@@ -16,6 +16,7 @@ import numpy as np
 
 from . import bernstein
 from .leaves import SECTION, Leaves, weight_signs
+from .linear import inverses
 from .quadric_fits import in_space, local_nets
 from .quadric_groups import quadric_leaves
 from .triangles import BezierTriangles
@@ -80,8 +81,8 @@ def _coordinates(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return where the four points of bases ``(P, 4, 4)`` are one, and the rows of coordinates."""
     s = np.linalg.svd(basis, compute_uv=False)
     good = s[:, 3] > _DETERMINED * s[:, 0]
-    basis = np.where(good[:, None, None], basis, np.eye(4))
-    return good, np.linalg.inv(basis.transpose(0, 2, 1))
+    rows, regular = inverses(basis.transpose(0, 2, 1))
+    return good & regular, rows
 
 
 def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
