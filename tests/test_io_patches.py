@@ -462,7 +462,7 @@ def test_obj_bzp(tmp_path):
         (("deg 2 1", "deg 2"), "'deg' with two degrees"),
         (("end\n", ""), "'end' after 'surf'"),
         (("v 2 1 4", "v 2 1"), "line 11: expected 3 to 8 numbers after 'v'"),
-        (("v 2 1 4", "v 2 1 four"), "numbers after 'v', got 2 1 four"),
+        (("v 2 1 4", "v 2 1 four"), "finite numbers after 'v', got 'four'"),
         (("surf 0 2", "serf 0 2"), "'parm u ...' after 'surf'"),
         (("cstype bezier", "cstype"), "'cstype \\[rat\\] TYPE'"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import lzma
 import os
+import re
 import struct
 import warnings
 import zlib
@@ -12,6 +13,7 @@ import zlib
 import numpy as np
 import pytest
 
+import mitsuba_bezier as mb
 from mitsuba_bezier import io
 from mitsuba_bezier.errors import FileFormatError
 from mitsuba_bezier.geometry import bernstein
@@ -483,3 +485,89 @@ def test_we_read_what_vtk_writes(tmp_path, mode, compressor, order, header):
         back = io.load(tmp_path / "b.vtu")
     # 1e-15: two roundings, as above
     np.testing.assert_allclose(back.control_points, nets.control_points, rtol=1e-15, atol=0)
+
+
+# ---------------------------------------------------------------------------- ghost cells
+
+
+def marked(text: str, cells: str = "", points: str = "", name: str = "vtkGhostType") -> str:
+    """Add arrays of ghosts to the only piece of a file."""
+    array = '<DataArray type="UInt8" Name="{}" format="ascii">{}</DataArray>'
+    for tag, values in (("CellData", cells), ("PointData", points)):
+        if values:
+            own = array.format(name, values)
+            if f"<{tag}" in text:
+                text = re.sub(rf"<{tag}([^>]*?)/?>", rf"<{tag}\1>{own}", text, count=1)
+                if f"</{tag}>" not in text:
+                    text = text.replace(own, f"{own}</{tag}>", 1)
+            else:
+                text = text.replace("<Cells>", f"<{tag}>{own}</{tag}><Cells>", 1)
+    return text
+
+
+@pytest.mark.parametrize("name", ["vtkGhostType", "vtkGhostLevels"])
+def test_ghost_cells_are_left_out(tmp_path, name):
+    """Copies (1), hidden (32) and refined (8) cells; other bits hide nothing."""
+    path = tmp_path / "a.vtu"
+    ball = mb.sphere(cover="octants")
+    attributes = {"face_number": np.arange(8.0)[:, None], "texcoords": np.ones((8, 3, 2))}
+    io.save(ball, path, encoding="ascii", attributes=attributes)
+    bits = [0, 1, 32, 8, 33, 2 + 4 + 16, 0, 0]
+    if name == "vtkGhostLevels":
+        bits = [0, 1, 2, 1, 1, 0, 0, 0]
+    path.write_text(marked(path.read_text(), cells=" ".join(map(str, bits)), name=name))
+    model = io.read(path)
+    kept = [0, 5, 6, 7]
+    assert model.triangles() == ball[kept]
+    assert model.sources[0].tolist() == kept
+    assert (model.report.faces, model.report.refused) == (4, [])
+    (note,) = model.report.notes
+    assert note.startswith("4 ghost cells")
+    with pytest.warns(FormatWarning, match="4 ghost cells"):
+        mb.load(path)
+    found = io.load_attributes(path)
+    assert found["face_number"].ravel().tolist() == kept
+    assert found["texcoords"].shape == (4, 3, 2)
+
+
+def test_cells_of_hidden_points_are_left_out(tmp_path):
+    path = tmp_path / "a.vtu"
+    ball = mb.sphere(cover="octants")
+    io.save(ball, path, encoding="ascii", attributes={"face_x": np.arange(8.0)[:, None]})
+    bits = np.zeros((8, 15), int)
+    bits[2, 7], bits[5, 0], bits[6, 1] = 2, 3, 1  # the last one is a copy, not hidden
+    path.write_text(marked(path.read_text(), points=" ".join(map(str, bits.ravel()))))
+    kept = [0, 1, 3, 4, 6, 7]
+    assert mb.io.read(path).triangles() == ball[kept]
+    assert io.load_attributes(path)["face_x"].ravel().tolist() == kept
+
+
+def test_nothing_but_ghosts(tmp_path):
+    path = tmp_path / "a.vtu"
+    io.save(mb.sphere(cover="octants"), path, encoding="ascii")
+    path.write_text(marked(path.read_text(), cells="1 " * 8))
+    with pytest.raises(FileFormatError, match="got only ghost cells in this file"):
+        io.read(path)
+
+
+@pytest.mark.parametrize("bits, faces", [((0, 0), 6), ((0, 1), 3), ((1, 0), 3), ((0, 32), 4)])
+def test_ghosts_of_a_volume_mesh(tmp_path, bits, faces):
+    """Two tetrahedra share a face: it is no boundary beside a copy, but it is beside a hole."""
+    path = tmp_path / "a.vtu"
+    unit = np.concatenate([np.zeros((1, 3)), np.eye(3), [[1.0, 1, 1]]])
+    pairs = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3), (1, 4), (2, 4), (3, 4)]
+    points = np.concatenate([unit, [(unit[a] + unit[b]) / 2 for a, b in pairs]])
+    # VTK's quadratic tetrahedron: corners, then edges 01, 12, 20, 03, 13, 23
+    cells = [0, 1, 2, 3, 5, 6, 7, 8, 9, 10], [1, 2, 3, 4, 6, 10, 9, 11, 12, 13]
+    text = (
+        '<VTKFile type="UnstructuredGrid"><UnstructuredGrid><Piece NumberOfPoints="14" '
+        'NumberOfCells="2"><Points><DataArray type="Float64" NumberOfComponents="3" '
+        f'format="ascii">{" ".join(map(str, points.ravel()))}</DataArray></Points><Cells>'
+        '<DataArray type="Int64" Name="connectivity" format="ascii">'
+        f"{' '.join(map(str, np.ravel(cells)))}</DataArray>"
+        '<DataArray type="Int64" Name="offsets" format="ascii">10 20</DataArray>'
+        '<DataArray type="UInt8" Name="types" format="ascii">24 24</DataArray>'
+        "</Cells></Piece></UnstructuredGrid></VTKFile>"
+    )
+    path.write_text(marked(text, cells=" ".join(map(str, bits))))
+    assert io.read(path).report.converted == faces

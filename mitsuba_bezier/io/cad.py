@@ -30,7 +30,7 @@ from ..geometry import bernstein
 from ..geometry.trims import Trims
 from .cad_surfaces import angular_axes, closed_axes, curve_pieces, parameter_map, surface_grid
 from .closed_surfaces import BoundaryEdge, leaves_period, unrolled
-from .files import damaged, read_bytes
+from .files import damaged, plain_copy, read_bytes
 from .isolated import read_isolated
 from .nurbs_surface import bezier_points
 from .plane_regions import chain, join_ends, region_to_triangles, standard
@@ -98,7 +98,12 @@ import_library = _occ
 
 def _load(occ: Any, path: Path) -> Any:
     """Return the shape of a file."""
-    head = read_bytes(path)[:4096]
+    with plain_copy(path) as plain:
+        return _load_plain(occ, path, plain)
+
+
+def _load_plain(occ: Any, path: Path, plain: Path) -> Any:
+    head = read_bytes(plain)[:4096]
     suffix = path.suffix.lower()
     if suffix in _SIGNATURES:
         signature, name = _SIGNATURES[suffix]
@@ -109,11 +114,11 @@ def _load(occ: Any, path: Path) -> Any:
     shape = occ.shape()
     try:
         if suffix == ".brep":
-            done = occ.tools.BRepTools.Read_s(shape, str(path), occ.brep.BRep_Builder())
+            done = occ.tools.BRepTools.Read_s(shape, str(plain), occ.brep.BRep_Builder())
         else:
             control = occ.step.STEPControl_Reader if "st" in suffix else occ.iges.IGESControl_Reader
             reader = control()
-            done = reader.ReadFile(str(path)) == occ.select.IFSelect_RetDone
+            done = reader.ReadFile(str(plain)) == occ.select.IFSelect_RetDone
             if done:
                 reader.TransferRoots()
                 shape = reader.OneShape()

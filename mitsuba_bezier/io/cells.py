@@ -34,12 +34,15 @@ class Cells:
         Rows of the points.
     bezier : bool
         The points are Bézier points, not interpolated nodes.
+    copies : (C,) bool array, optional
+        Volume cells that show no faces, but stand before those of others.
     """
 
     kind: str
     lattice: np.ndarray
     nodes: np.ndarray
     bezier: bool = False
+    copies: np.ndarray | None = None
 
 
 def _univariate(n: int, t: np.ndarray) -> np.ndarray:
@@ -124,14 +127,26 @@ def _faces(cells: Cells) -> list[Cells]:
     if cells.kind == "tetra":
         for missing, corners in _TETRA_OUTWARD.items():
             on = lattice[:, missing] == 0
-            out.append(Cells("triangle", lattice[on][:, corners], cells.nodes[:, on], cells.bezier))
+            out.append(
+                Cells(
+                    "triangle",
+                    lattice[on][:, corners],
+                    cells.nodes[:, on],
+                    cells.bezier,
+                    cells.copies,
+                )
+            )
     else:
         n = int(lattice.max())
         for axis in range(3):
             first, second = (axis + 1) % 3, (axis + 2) % 3
             for side, axes in ((n, (first, second)), (0, (second, first))):
                 on = lattice[:, axis] == side
-                out.append(Cells("quad", lattice[on][:, axes], cells.nodes[:, on], cells.bezier))
+                out.append(
+                    Cells(
+                        "quad", lattice[on][:, axes], cells.nodes[:, on], cells.bezier, cells.copies
+                    )
+                )
     return out
 
 
@@ -177,6 +192,9 @@ def add_surface(
     keys = np.concatenate([_corner_keys(face) for face in faces])
     _unique, inverse, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     outer = count[inverse.ravel()] == 1
+    outer &= ~np.concatenate(
+        [np.zeros(len(f.nodes), bool) if f.copies is None else f.copies for f in faces]
+    )
     if surfaces:
         given = np.concatenate([_corner_keys(cells) for cells in surfaces])
         both = np.concatenate([given, keys])

@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
 from .._files import write_file
 from ..errors import FileFormatError
 
-__all__ = ["check_regular", "damaged", "read_bytes", "read_text", "write_bytes"]
+__all__ = [
+    "check_regular",
+    "damaged",
+    "decode_text",
+    "has_mark",
+    "plain_copy",
+    "read_bytes",
+    "read_text",
+    "write_bytes",
+]
 
 
 def damaged(
@@ -101,19 +114,76 @@ def check_regular(path: str | PathLike[str], mode: int | None = None) -> None:
         raise FileFormatError.expected("path", "a file that can be read", got)
 
 
+#: What files of editors begin with, and the encoding it tells; the longer ones come first.
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32-le"),
+    (codecs.BOM_UTF32_BE, "utf-32-be"),
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
+
+
+def has_mark(data: bytes) -> bool:
+    """Tell whether data begin with a byte order mark: then they are text."""
+    return any(data.startswith(mark) for mark, _encoding in _MARKS)
+
+
+def decode_text(path: str | PathLike[str], data: bytes) -> str:
+    """Return data as text whose lines end in newlines.
+
+    Formats here are ASCII, names may be UTF-8; editors of some systems write a byte order mark,
+    UTF-16, or lines that end in carriage returns.
+
+    Parameters
+    ----------
+    path : path
+        The file, for errors.
+    data : bytes
+        Its contents.
+
+    Raises
+    ------
+    FileFormatError
+        If there are null bytes: it is no text then.
+    """
+    mark, encoding = next((m for m in _MARKS if data.startswith(m[0])), (b"", "utf-8"))
+    text = data[len(mark) :].decode(encoding, errors="replace")
+    if "\0" in text:
+        at = data.find(b"\0") if encoding == "utf-8" else text.find("\0")
+        raise damaged(path, "a text file", "a null byte", offset=at)
+    # a mark within: files that were put together; 26: the end of a file of CP/M and DOS
+    text = text.replace("\ufeff", "").replace("\r\n", "\n").replace("\r", "\n")
+    return text.rstrip("\x1a")
+
+
 def read_text(path: str | PathLike[str]) -> str:
-    """Return the contents of a text file; text formats here are ASCII, names may be UTF-8.
+    """Return the contents of a text file; see `decode_text`.
 
     Raises
     ------
     FileFormatError
         If the file cannot be read, or holds null bytes (it is no text then).
     """
+    return decode_text(path, read_bytes(path))
+
+
+@contextmanager
+def plain_copy(path: str | PathLike[str]) -> Iterator[Path]:
+    """Give the path of a text file that foreign readers take: a copy, if an editor marked it.
+
+    Within the ``with`` block the path stands for the same text without byte order mark, in UTF-8,
+    with lines that end in newlines. Most often that is the file itself.
+    """
     data = read_bytes(path)
-    at = data.find(b"\0")
-    if at >= 0:
-        raise damaged(path, "a text file", "a null byte", offset=at)
-    return data.decode("utf-8", errors="replace")
+    lone = b"\r" in data and b"\r" in data.replace(b"\r\n", b"")
+    if not has_mark(data) and not lone:
+        yield Path(path)
+        return
+    with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
+        copy = Path(folder) / f"model{Path(path).suffix.lower()}"
+        copy.write_bytes(decode_text(path, data).encode())
+        yield copy
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:

@@ -37,7 +37,8 @@ def _skip_blocks(tokens: Tokens) -> None:
 
 
 def _binary(path: str | PathLike[str]) -> None:
-    if re.search(rb"^\s*\w*(OFF|BEZ\d*|BBP)\w*\s+BINARY\b", read_bytes(path)[:4096]):
+    head = read_bytes(path)[:4096]
+    if re.search(rb"^\s*\w*(OFF|BEZ\d*|BBP)\w*\s+BINARY\b", head):
         raise damaged(path, "a text file", "Geomview's BINARY variant, which is not supported")
 
 
@@ -121,6 +122,13 @@ def read_off(path: str | PathLike[str]) -> Model:
         index = [tokens.integer(f"a vertex of face {number}", 0, vertices - 1) for _ in range(size)]
         tokens.skip_line(line)  # colours
         add_polygon(collector, f"face {number}", number, corners[index])
+    while tokens.peek() == "}":
+        tokens.word("}")
+    if len(tokens):
+        collector.report.notes.append(
+            f"{len(tokens)} words from line {tokens.line()} on stand behind the {faces} faces that "
+            "the header announces, and are not read"
+        )
     return collector.model(lambda: damaged(path, "at least one face", "none"))
 
 

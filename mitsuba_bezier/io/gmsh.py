@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from .cells import Cells, add_cells, add_surface
-from .files import damaged, read_bytes
+from .files import damaged, decode_text, has_mark, read_bytes
 from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_lattice
 from .report import Collector, Model
 from .tensor_nets import homogeneous
@@ -44,6 +44,20 @@ _TYPES |= {6: ("prism", 1, 6), 13: ("prism", 2, 18), 18: ("prism", 2, 15)}
 _TYPES |= {7: ("pyramid", 1, 5), 14: ("pyramid", 2, 14), 19: ("pyramid", 2, 13)}
 _TYPES |= {20: ("incomplete triangle", 3, 9), 22: ("incomplete triangle", 4, 12)}
 _TYPES |= {39: ("incomplete quad", 3, 12)}
+
+
+#: Sections that hold no elements of their own.
+_OTHERS = {
+    *(
+        "Comments",
+        "PhysicalNames",
+        "Entities",
+        "PartitionedEntities",
+        "Periodic",
+        "Parametrizations",
+    ),
+    *("NodeData", "ElementData", "ElementNodeData", "InterpolationScheme", "GhostElements"),
+}
 
 
 class _Text:
@@ -163,6 +177,8 @@ def read(path: str | PathLike[str]) -> Model:
         If the file is missing, damaged, of another version, or holds no surface.
     """
     data = read_bytes(path)
+    if has_mark(data):
+        data = decode_text(path, data).encode()
     start = re.match(rb"\s*\$MeshFormat\s+(\S{1,20})\s+([01])\s+(\S{1,20})[ \t\r]*\n?", data)
     if not start:
         raise damaged(
@@ -182,6 +198,7 @@ def read(path: str | PathLike[str]) -> Model:
         file = _Text(path)
     nodes: list[tuple[np.ndarray, np.ndarray]] = []
     elements: dict[int, list[np.ndarray]] = {}
+    unknown: set[str] = set()
     for _ in range(4):  # $MeshFormat and its three words
         file.word("$MeshFormat")
     if isinstance(file, _Binary):
@@ -197,8 +214,14 @@ def read(path: str | PathLike[str]) -> Model:
             (_read_elements_2 if version == 2 else _read_elements_4)(file, elements)
         elif not file.skip_to(f"$End{name[1:]}"):
             raise file.error(f"$End{name[1:]}", "the end of the file")
+        elif name[1:] not in _OTHERS:
+            unknown.add(name[:40])
         _end(file, name)
     collector = Collector(path, "msh")
+    if unknown:
+        collector.report.notes.append(
+            f"unknown sections, which are not read: {', '.join(sorted(unknown)[:20])}"
+        )
     if elements:
         tags = np.concatenate([np.zeros(0, np.int64), *(tag for tag, _x in nodes)])
         points = np.concatenate([np.zeros((0, 3)), *(x for _tag, x in nodes)])

@@ -6,16 +6,19 @@ of their own here, which know all orders and need no other package.
 
 from __future__ import annotations
 
+import tempfile
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import FileFormatError
 from .cells import Cells, add_cells, add_surface
-from .files import damaged, read_bytes
+from .files import damaged, read_text
 from .isolated import read_isolated
 from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_lattice
+from .mesh_text import prepared
 from .report import Collector, Model
 from .tensor_nets import homogeneous
 
@@ -58,19 +61,27 @@ def read(path: str | PathLike[str]) -> Model:
 
 def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read a mesh in this process; no mesh has `trims`."""
-    read_bytes(path)
+    text = read_text(path)
     meshio = import_library()
-    try:
-        mesh = meshio.read(path)
-    except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
-        text = str(error).splitlines()
-        reason = f"{type(error).__name__}: {text[0] if text else ''}"
-        raise damaged(path, "a file that meshio can read", reason) from None
+    collector = Collector(path, "mesh")
+    suffix = Path(path).suffix.lower()
+    readers = {".inp": "abaqus", ".mesh": "medit"}
+    text = prepared(path, suffix, text, collector.report)
+    with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
+        copy = Path(folder) / f"mesh{suffix}"
+        copy.write_text(text, encoding="ascii", errors="replace")
+        try:
+            mesh = getattr(meshio, readers.get(suffix, "nastran")).read(str(copy))
+        except MemoryError:
+            raise
+        except (Exception, SystemExit) as error:  # meshio ends the program on some bad files
+            lines = str(error).splitlines()
+            reason = f"{type(error).__name__}: {lines[0] if lines else ''}"
+            raise damaged(path, "a file that meshio can read", reason[:200]) from None
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise damaged(path, "a mesh with points", "none")
     points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-    collector = Collector(path, "mesh")
     surfaces: list[Cells] = []
     volumes: list[Cells] = []
     for block in mesh.cells:

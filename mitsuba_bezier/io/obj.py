@@ -2,8 +2,9 @@
 
 Read: ``v`` (with weight), ``cstype [rat] bezier`` and ``[rat] bspline``, ``deg``, ``parm``,
 ``surf`` with its parameter range, ``trim`` and ``hole`` along parameter lines (``curv2``), ``end``
-and the older ``bzp``. Other bases (bmatrix, cardinal, taylor) and curved trims are reported.
-Polygons (``f``) are left to programs for meshes, and counted.
+and the older ``bzp``. Other bases (bmatrix, cardinal, taylor) and curved trims are reported, as are
+the older patches ``bsp`` and ``cdp``. Polygons (``f``) are left to programs for meshes, and
+counted; so is every statement that is not known.
 
 Source: "Advanced Visualizer Manual, Appendix B1: Object Files", Wavefront; for instance
 http://paulbourke.net/dataformats/obj/
@@ -11,6 +12,8 @@ http://paulbourke.net/dataformats/obj/
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from os import PathLike
 
@@ -21,11 +24,37 @@ from .files import damaged, read_text
 from .nurbs import bezier_matrices, check_knots
 from .report import Collector, Model
 from .tensor_nets import homogeneous, tensor_nets
+from .text import numbers
 from .trims import CURVED, rectilinear, trimmed
 
 __all__ = ["read"]
 
 _MAX_DEGREE = 30
+
+_INDEX = re.compile(r"[+-]?[0-9]{1,18}")
+
+#: Statements of names, which may end in a backslash that belongs to a path.
+_NAMES = frozenset(
+    ("g", "o", "mtllib", "usemtl", "usemap", "maplib", "call", "csh", "shadow_obj", "trace_obj")
+)
+#: Statements that say nothing about surfaces.
+_HARMLESS = _NAMES - {"call", "csh"} | frozenset(
+    ("vt", "vn", "s", "mg", "lod", "bevel", "c_interp", "d_interp", "ctech", "stech", "res")
+)
+#: Statements whose effect on the surfaces is not reproduced, or which are none: told as remarks.
+_REMARKS = {
+    "p": "points",
+    "l": "lines",
+    "curv": "curves in space",
+    "cdc": "curves in space",
+    "con": "connections of surfaces",
+    "scrv": "special curves on surfaces",
+    "sp": "special points on surfaces",
+    "bmat": "matrices of bases that are not read",
+    "step": "steps of bases that are not read",
+}
+#: Patches of an older time.
+_OLD_PATCHES = {"bsp": "B-spline", "cdp": "Cardinal"}
 
 
 @dataclass
@@ -71,6 +100,8 @@ class _Reader:
         self.block: _Block | None = None
         self.curves: list[_Curve | None] = []  # None: of a type that is not read
         self.faces = 0
+        self.remarks: dict[str, int] = {}
+        self.unknown: dict[str, list[int]] = {}  # their lines
         self.line = 0
 
     def error(self, expected: str, got: object):
@@ -80,21 +111,16 @@ class _Reader:
         if not low <= len(words) <= high:
             wanted = f"{low} to {high}" if high < 10**9 else f"at least {low}"
             raise self.error(f"{wanted} numbers after {name!r}", len(words))
-        try:
-            out = [float(word) for word in words]
-        except ValueError:
-            raise self.error(f"numbers after {name!r}", " ".join(words)[:60]) from None
-        if not np.isfinite(out).all():
-            raise self.error(f"finite numbers after {name!r}", " ".join(words)[:60])
-        return out
+        out = numbers(words)
+        if out is None:
+            bad = next(word for word in words if numbers([word]) is None)
+            raise self.error(f"finite numbers after {name!r}", repr(bad[:60]))
+        return out.tolist()
 
     def index(self, word: str, count: int, name: str) -> int:
         """Return an index from 0: from 1 in the file, negative ones count from the end."""
         text = word.split("/")[0]
-        try:
-            number = int(text) if len(text) < 20 else 0
-        except ValueError:
-            number = 0
+        number = int(text) if _INDEX.fullmatch(text) else 0
         at = number - 1 if number > 0 else count + number
         if number == 0 or not 0 <= at < count:
             raise self.error(f"the number of one of the {count} {name} so far", repr(word[:40]))
@@ -107,7 +133,7 @@ class _Reader:
         elif keyword == "vp":
             x = self.numbers(words, 1, 3, "vp")
             self.parameters.append([x[0], x[1] if len(x) > 1 else 0.0, x[2] if len(x) > 2 else 1.0])
-        elif keyword == "f":
+        elif keyword in ("f", "fo"):
             self.faces += 1
         elif keyword == "cstype":
             rational = words[:1] == ["rat"]
@@ -121,6 +147,9 @@ class _Reader:
                 raise self.error(f"degrees from 1 to {_MAX_DEGREE}", " ".join(words)[:60])
             self.degrees = [int(d) for d in degrees]
         elif keyword in ("surf", "curv", "curv2"):
+            self.closed()
+            if keyword == "curv":
+                self.remark("curv")
             self.block = _Block(keyword, words, self.line, self.cstype, self.degrees)
         elif keyword == "parm":
             if self.block is None or not words:
@@ -147,6 +176,42 @@ class _Reader:
             tensor = points.reshape(1, 4, 4, 4).swapaxes(1, 2)
             self.collector.add(tensor_nets(tensor), face)
             self.collector.report.accept()
+        elif keyword in _OLD_PATCHES:
+            name = f"{keyword} in line {self.line}"
+            kind = _OLD_PATCHES[keyword]
+            self.collector.report.refuse(name, f"{kind} patches of the older form are not read")
+        elif keyword in _REMARKS:
+            self.remark(keyword)
+        elif keyword not in _HARMLESS:
+            self.unknown.setdefault(keyword, []).append(self.line)
+
+    def remark(self, keyword: str) -> None:
+        self.remarks[keyword] = self.remarks.get(keyword, 0) + 1
+
+    def closed(self) -> None:
+        """Raise an error if a free-form element is not ended yet."""
+        if self.block is not None:
+            raise damaged(
+                self.path,
+                f"'end' after {self.block.kind!r}",
+                f"none before line {self.line}",
+                line=self.block.line,
+            )
+
+    def account(self) -> None:
+        """Tell what was not read."""
+        report = self.collector.report
+        if self.faces:
+            report.refuse("f", "polygons, not free-form surfaces", self.faces)
+        for keyword, count in self.remarks.items():
+            report.remarks.append(f"{count} statements {keyword!r}: {_REMARKS[keyword]}")
+        for keyword, lines in list(self.unknown.items())[:20]:
+            report.notes.append(
+                f"{len(lines)} statements {keyword[:40]!r} (line {lines[0]}) are not known, and "
+                "not read"
+            )
+        if len(self.unknown) > 20:
+            report.notes.append(f"{len(self.unknown) - 20} more words are not known, and not read")
 
     def points(self, words: list[str]) -> np.ndarray:
         """Return homogeneous control points; the weight counts for rational types only."""
@@ -279,22 +344,38 @@ def read(path: str | PathLike[str]) -> Model:
         If the file is missing, damaged, or holds no such surface.
     """
     reader = _Reader(path)
-    pending: list[str] = []
-    for number, text in enumerate(read_text(path).split("\n"), start=1):
-        line = text.rstrip("\r")
-        if not pending:
-            reader.line = number
-        if line.endswith("\\"):
-            pending.append(line[:-1])
-            continue
-        words = " ".join([*pending, line]).split("#")[0].split()
-        pending = []
-        if words:
-            reader.statement(words[0], words[1:])
-    if reader.block is not None and reader.block.kind == "surf":
-        raise damaged(path, "'end' after 'surf'", "the end of the file", line=reader.block.line)
-    if reader.faces:
-        reader.collector.report.refuse("f", "polygons, not free-form surfaces", reader.faces)
+    for reader.line, words in _statements(read_text(path)):
+        reader.statement(words[0], words[1:])
+    reader.line += 1
+    reader.closed()
+    reader.account()
     return reader.collector.model(
         lambda: damaged(path, "free-form surfaces ('surf')", "none in this file")
     )
+
+
+def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the statements: the line each begins in, and its words.
+
+    A line that ends in a backslash goes on in the next. What stands behind ``#`` is no part of
+    it, nor are blanks at its end. Lines of comment between two parts of a statement are passed
+    over, and a backslash at the end of a name, as of a folder, belongs to the name.
+    """
+    words: list[str] = []
+    first, goes_on = 0, False
+    for number, full in enumerate(text.split("\n"), start=1):
+        line, mark, _comment = full.partition("#")
+        line = line.strip()
+        if goes_on and mark and not line:
+            continue
+        if not goes_on:
+            first = number
+        goes_on = line.endswith("\\")
+        if goes_on and not words and line.split()[0] in _NAMES:
+            goes_on = line[-2:-1].isspace()
+        words += line[:-1].split() if goes_on else line.split()
+        if words and not goes_on:
+            yield first, words
+            words = []
+    if words:
+        yield first, words

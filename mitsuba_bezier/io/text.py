@@ -10,9 +10,32 @@ import numpy as np
 from ..errors import FileFormatError
 from .files import damaged, read_text
 
-__all__ = ["Tokens"]
+__all__ = ["Tokens", "numbers", "plain_exponents"]
 
 _INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
+_NUMBERS = re.compile(r"[0-9eE+\-. ]*")
+_FORTRAN = re.compile(r"(?<=[0-9.])[dD](?=[+-]?[0-9])")
+
+
+def plain_exponents(text: str) -> str:
+    """Return text with Fortran's exponents, as in ``1.5d-3``, written with an ``e``."""
+    return _FORTRAN.sub("e", text) if "d" in text or "D" in text else text
+
+
+def numbers(words: list[str]) -> np.ndarray | None:
+    """Return words as finite numbers ``(N,)``, None if one of them is none.
+
+    Exponents may be Fortran's. What only Python takes for a number (``1_000``, digits of other
+    scripts, ``nan``) is none.
+    """
+    text = plain_exponents(" ".join(words))
+    if not _NUMBERS.fullmatch(text):
+        return None
+    try:
+        out = np.array(text.split(" ") if words else [], dtype=np.float64)
+    except (ValueError, OverflowError):
+        return None
+    return out if np.isfinite(out).all() else None
 
 
 class Tokens:
@@ -89,14 +112,11 @@ class Tokens:
             self._at = len(self._words)
             raise self.error(f"{count} numbers for {name}", "the end of the file")
         words = self._words[self._at : self._at + count]
-        try:
-            out = np.array(words, dtype=np.float64)
-        except (ValueError, OverflowError):
-            out = None
-        if out is None or not np.isfinite(out).all():
+        out = numbers(words)
+        if out is None:
             for word in words:
                 self._at += 1
-                if not _is_finite(word):
+                if numbers([word]) is None:
                     raise self.error(f"a finite number for {name}", repr(word[:40]), back=1)
             raise self.error(f"{count} numbers for {name}", "other text")
         self._at += count
@@ -128,10 +148,3 @@ class Tokens:
         """Skip the words that are left on line `number`."""
         while len(self) and self.line() == number:
             self._at += 1
-
-
-def _is_finite(word: str) -> bool:
-    try:
-        return bool(np.isfinite(float(word)))
-    except (ValueError, OverflowError):
-        return False

@@ -21,7 +21,7 @@ from xml.parsers import expat
 import numpy as np
 
 from ..errors import FileFormatError
-from .files import damaged, read_bytes
+from .files import damaged, decode_text, has_mark, read_bytes
 from .lz4 import decompress_block
 
 __all__ = ["Element", "VtkXml", "decode_bytes"]
@@ -152,6 +152,8 @@ class VtkXml:
     def __init__(self, path: str | PathLike[str]) -> None:
         self.path = path
         data = read_bytes(path)
+        if has_mark(data):  # an editor wrote it: then all of it is text
+            data = decode_text(path, data).encode()
         self.size = len(data)
         tag = re.search(rb"<AppendedData\b[^>]*>", data)
         self._appended = b""

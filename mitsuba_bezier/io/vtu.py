@@ -32,6 +32,7 @@ from .lattices import quad_lattice, tetra_lattice, triangle_lattice
 from .report import Collector, Model
 from .trim_arrays import unpacked_trims
 from .vtk_xml import Element, VtkXml
+from .vtu_ghosts import ghost_cells, hidden_points
 
 __all__ = ["HOMOGENEOUS", "TRIM_ARRAYS", "read"]
 
@@ -127,6 +128,8 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
     quadratic tetrahedra. Other cells are counted in the report as refused; so are linear ones,
     which make a plain mesh that Mitsuba renders itself.
 
+    Cells that VTK does not show (`vtu_ghosts`) are left out, and noted.
+
     A `RationalWeights` array that is not flagged is not used, as in VTK, and noted in the report.
 
     Parameters
@@ -157,8 +160,9 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
         first = _read_piece(xml, piece, collector, first, field_data if trims else None)
     if not trims and _named(field_data, "points") is not None:
         collector.report.notes.append("trims are not used: patches are returned whole")
+    ghosts = "only ghost cells" if any("ghost" in n for n in collector.report.notes) else "none"
     return collector.model(
-        lambda: damaged(path, "Bézier triangles (cells of type 76)", "none in this file")
+        lambda: damaged(path, "Bézier triangles (cells of type 76)", f"{ghosts} in this file")
     )
 
 
@@ -225,6 +229,7 @@ def _read_piece(
     cells_count = xml.count(piece, "NumberOfCells")
     if not cells_count:
         return first
+    copies, hidden = ghost_cells(xml, piece, cells_count)
     cells = _child(xml, piece, "Cells")
     types = xml.array(_cell_array(xml, cells, "types"), cells_count, "integer")
     line = cells.line
@@ -234,23 +239,31 @@ def _read_piece(
     if (sizes < 0).any() or offsets[-1] > 2**62:
         cell = int(np.argmax(sizes < 0))
         raise damaged(xml.path, "offsets that grow", f"less at cell {cell}", line=line)
-    chosen = np.isin(types, list(_READ))
-    for kind, count in zip(*np.unique(types[~chosen], return_counts=True)):
+    known = np.isin(types, list(_READ))
+    shown = ~(copies | hidden)
+    for kind, count in zip(*np.unique(types[~known & shown], return_counts=True)):
         name = _CELL_NAMES.get(int(kind), "?")
         reason = "linear" if kind < 20 else "not supported"
         collector.report.refuse(f"cells of type {kind}", f"VTK_{name}: {reason}", int(count))
+    volume = np.isin(types, [n for n, (kind, _bezier) in _READ.items() if kind == "tetra"])
+    chosen = known & ~hidden & (volume | ~copies)
+    ghosts = int((~shown).sum())
     if not chosen.any():
+        _note_ghosts(collector, ghosts)
         return first + cells_count
     connectivity = xml.array(_cell_array(xml, cells, "connectivity"), int(offsets[-1]), "integer")
     homogeneous = _points(xml, piece, points_count, collector)
     plain = np.concatenate([homogeneous.points, np.ones((points_count, 1))], axis=1)
     degrees = _degrees(xml, piece, cells_count)
     trims = _piece_trims(xml, piece, cells_count, field_data)
+    no_points = hidden_points(xml, piece, points_count)
     keys = np.column_stack([types, sizes, degrees])
     surfaces: list[Cells] = []
     volumes: list[Cells] = []
-    for key in np.unique(keys[chosen], axis=0):
-        group = np.flatnonzero((keys == key).all(axis=1))
+    found, inverse = np.unique(keys[chosen], axis=0, return_inverse=True)
+    order = np.argsort(inverse.ravel(), kind="stable")
+    ends = np.searchsorted(inverse.ravel()[order], np.arange(1, len(found)))
+    for key, group in zip(found, np.split(np.flatnonzero(chosen)[order], ends)):
         number, size, p, q = key.tolist()
         kind, is_bezier = _READ[number]
         lattice = _lattice(kind, size, p, q)
@@ -271,7 +284,13 @@ def _read_piece(
                 f"{index[cell].tolist()} in cell {group[cell]}",
                 line=line,
             )
-        part = Cells(kind, lattice, index, is_bezier)
+        seen = ~no_points[index].any(axis=1)
+        if not seen.all():
+            ghosts += int((~seen & ~copies[group]).sum())
+            group, index = group[seen], index[seen]
+        part = Cells(kind, lattice, index, is_bezier, copies[group])
+        if not len(group):
+            continue
         if kind == "tetra":
             volumes.append(part)
         else:
@@ -279,11 +298,20 @@ def _read_piece(
             net = homogeneous.net if is_bezier else plain
             own = trims[group] if trims is not None and number == _TRIMMED else None
             add_cells(collector, part, net, first + group, own)
+    _note_ghosts(collector, ghosts)
     for is_bezier in (False, True):
         some = [v for v in volumes if v.bezier == is_bezier]
         net = homogeneous.net if is_bezier else plain
         add_surface(collector, some, surfaces, net, first + cells_count)
     return first + cells_count
+
+
+def _note_ghosts(collector: Collector, count: int) -> None:
+    if count:
+        collector.report.notes.append(
+            f"{count} ghost cells (vtkGhostType: copies of cells of other pieces, or hidden) are "
+            "left out"
+        )
 
 
 def _lattice(kind: str, size: int, p: int, q: int) -> np.ndarray | None:

@@ -21,6 +21,7 @@ from ..geometry.triangles import BezierTriangles
 from .files import damaged
 from .lattices import triangle_lattice
 from .vtk_xml import Element, VtkXml
+from .vtu_ghosts import ghost_cells, hidden_points
 
 __all__ = ["TCOORDS", "read_attributes", "vtk_arrays"]
 
@@ -77,6 +78,9 @@ def _piece(xml: VtkXml, piece: Element) -> dict[str, np.ndarray] | None:
     connectivity = xml.array(topology["connectivity"], cells * size, "integer").reshape(-1, size)
     if connectivity.min() < 0 or connectivity.max() >= points:
         return None
+    copies, hidden = ghost_cells(xml, piece, cells)
+    seen = ~(copies | hidden | hidden_points(xml, piece, points)[connectivity].any(axis=1))
+    connectivity = connectivity[seen]
     out = {}
     data = piece.first("PointData")
     flagged = data.attributes.get(TCOORDS) if data is not None else None
@@ -88,14 +92,14 @@ def _piece(xml: VtkXml, piece: Element) -> dict[str, np.ndarray] | None:
             out["texcoords"] = uv[connectivity[:, :3]]
         elif name.startswith("vertex_"):
             values = xml.array(element, components * points).reshape(points, -1)
-            ordinates = np.empty((cells, size, components))
+            ordinates = np.empty((len(connectivity), size, components))
             ordinates[:, _order(size)] = values[connectivity]
             out[name] = ordinates
     for element in _arrays(piece.first("CellData")):
         name = element.attributes.get("Name", "")
         if name.startswith("face_"):
             components = _components(xml, element)
-            out[name] = xml.array(element, components * cells).reshape(cells, -1)
+            out[name] = xml.array(element, components * cells).reshape(cells, -1)[seen]
     return out
 
 
