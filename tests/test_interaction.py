@@ -98,9 +98,10 @@ def test_partials_are_those_of_finite_differences(name):
         a, b, c = parameters["texcoords"][0]
         steps = np.linalg.inv(np.column_stack([a - c, b - c])).T
         expected = uv @ np.array([a - c, b - c]) + c
-        assert np.abs(numbers(si.uv) - expected)[valid].max() < 1e-6  # roundings below 1
     else:
-        assert np.abs(numbers(si.uv) - uv)[valid].max() == 0
+        expected = uv
+    # what the parameters of a hit are off by; those of the interaction are moved to the ray
+    assert np.abs(numbers(si.uv) - expected)[valid].max() < 3e-6
 
     # where the surface is collapsed, within float32 of it, there are no partials to compare
     d = patches.differential(patch, uv)

@@ -32,17 +32,19 @@ def evaluate_second(
         Degree.
     patch : UInt
     u, v : Float
+        Their type is that of all arithmetic: with `Float64` only the net is rounded.
     active : Bool
 
     Returns
     -------
     value, d_du, d_dv, d_duu, d_duv, d_dvv : lists of 4 Float
     """
-    net = gather_packets(buffer, patch, bernstein.size(n) * 4, active)
+    number = type(u)
+    net = [number(x) for x in gather_packets(buffer, patch, bernstein.size(n) * 4, active)]
     w = 1.0 - u - v
     if n == 1:
         rows = [[net[4 * r + a] for a in range(4)] for r in range(3)]
-        zero = [dr.zeros(type(u)) for _ in range(4)]
+        zero = [dr.zeros(number) for _ in range(4)]
         seconds = [zero, zero, zero]
     else:
         basis = bernstein_basis(n - 2, u, v, w)

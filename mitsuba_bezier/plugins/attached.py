@@ -1,4 +1,4 @@
-"""Derivatives of hits: nets that follow their parameters, and one attached Newton step."""
+"""Derivatives of hits: nets that follow their parameters."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from ..errors import BezierError
 from ..geometry import bernstein
 from ..kernels.arrays import upload
-from ..kernels.patch import evaluate, padded_width
+from ..kernels.patch import padded_width
 
-__all__ = ["attached_tables", "follow_ray", "is_attached"]
+__all__ = ["attached_tables", "is_attached"]
 
 
 def is_attached(shape: Any) -> bool:
@@ -55,19 +55,23 @@ def attached_tables(tables: Any, shapes: list[Any]) -> Any:
     for shape in shapes:
         count = shape.control_points.shape[0]
         if is_attached(shape):
-            values = _packed(shape, tables.degree)
+            values = _packed(shape, tables, first)
             dr.scatter(nets, values, dr.arange(mi.UInt32, count * width) + first * width)
         first += count
     return replace(tables, nets=dr.replace_grad(tables.nets, nets))
 
 
-def _packed(shape: Any, degree: int) -> Any:
-    """Return the nets of a shape in the world, elevated and padded as `kernels.patch.pack` does."""
+def _packed(shape: Any, tables: Any, first: int) -> Any:
+    """Return the nets of a shape as `tables` have them, from its number `first` on."""
+    degree = tables.degree
     count, rows, _four = shape.control_points.shape
     index = dr.arange(mi.UInt32, count * rows) * 4
     flat = shape.control_points.array
     point = mi.Vector4f(*(dr.gather(mi.Float, flat, index + c) for c in range(4)))
-    world = dr.ravel(mi.Matrix4f(shape.to_world.matrix) @ point)
+    there = mi.Matrix4f(shape.to_world.matrix) @ point
+    origin = tables.origin(first + index // (4 * rows), mi.Bool(True))
+    local = mi.Vector3f(there.x, there.y, there.z) - there.w * mi.Vector3f(origin)
+    world = dr.ravel(mi.Vector4f(local.x, local.y, local.z, there.w))
     terms = _on_device(shape, bernstein.degree_of(rows), degree)
     slots = dr.width(terms[0][0])
     index = dr.arange(mi.UInt32, count * slots)
@@ -76,7 +80,11 @@ def _packed(shape: Any, degree: int) -> Any:
     for source, weight in terms:
         there, row = dr.gather(mi.Float, weight, slot), dr.gather(mi.UInt32, source, slot)
         result += there * dr.gather(mi.Float, world, patch * (4 * rows) + row, there != 0)
-    return result
+    # nets are free of a common factor there: one weight tells it
+    heavy = 4 * tables.heaviest(first + patch) + 3
+    mine = dr.gather(mi.Float, dr.detach(result), patch * slots + heavy)
+    theirs = dr.gather(mi.Float, dr.detach(tables.nets), (first + patch) * slots + heavy)
+    return result * dr.select(mine != 0, theirs / mine, 1)
 
 
 def _on_device(shape: Any, n: int, degree: int) -> list[tuple[Any, Any]]:
@@ -108,45 +116,3 @@ def _elevation(n: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
     source = np.argsort(full == 0, axis=1, kind="stable")[:, :terms].T
     weight = np.take_along_axis(full, source.T, axis=1).T
     return source.astype(np.uint32), weight.astype(np.float32)
-
-
-def follow_ray(
-    tables: Any, patch: Any, u: Any, v: Any, t: Any, ray: Any, active: Any
-) -> tuple[Any, Any, Any]:
-    """Give parameters of a hit their derivatives by the net and the ray.
-
-    One Newton step at the solution for ``X(u, v) - w(u, v) (o + t d) = 0``, homogeneous and
-    so without a division: its matrix is a number, its residual is 0 but has derivatives, and
-    the step has those of the implicit function theorem.
-
-    Parameters
-    ----------
-    tables : PatchTables
-    patch : UInt
-    u, v, t : Float
-        The solution, without derivatives.
-    ray : mi.Ray3f
-    active : Bool
-
-    Returns
-    -------
-    u, v, t : Float
-        The same values.
-    """
-    value, d_du, d_dv = evaluate(tables.nets, tables.degree, patch, u, v, active)
-    point = ray.o + t * ray.d
-    residual = mi.Vector3f(*value[:3]) - value[3] * point
-    foot, w = mi.Vector3f(dr.detach(point)), dr.detach(value[3])
-    a = dr.detach(mi.Vector3f(*d_du[:3])) - dr.detach(d_du[3]) * foot
-    b = dr.detach(mi.Vector3f(*d_dv[:3])) - dr.detach(d_dv[3]) * foot
-    c = -w * dr.detach(mi.Vector3f(ray.d))
-    ab, bc, ca = dr.cross(a, b), dr.cross(b, c), dr.cross(c, a)
-    determinant = dr.dot(c, ab)
-    # at a silhouette, and where nothing was hit, nothing follows
-    regular = active & (determinant != 0)
-    inverse = dr.select(regular, dr.rcp(dr.select(regular, determinant, 1)), 0)
-    return (
-        dr.replace_grad(u, -inverse * dr.dot(bc, residual)),
-        dr.replace_grad(v, -inverse * dr.dot(ca, residual)),
-        dr.replace_grad(t, -inverse * dr.dot(ab, residual)),
-    )

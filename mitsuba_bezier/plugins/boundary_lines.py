@@ -10,7 +10,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.arrays import upload
-from ..kernels.curvature import evaluate_second
 from .silhouette import Discrete, SilhouetteCurves, outward
 
 __all__ = ["BoundaryLines", "BoundarySample"]
@@ -109,7 +108,7 @@ class BoundaryLines:
         sine, cosine = dr.sincos(angle)
         d = frame.s * cosine + frame.t * sine
         tables = self.data.tables
-        h = evaluate_second(tables.nets, tables.degree, patch, u, v, active)
+        h = tables.second(patch, u, v, active)
         n, curvature = outward(h, d)
         out = self.empty(patch, u, v, ps.p, d, n, curvature)
         out.pdf = ps.pdf * dr.inv_two_pi / len(self.numbers)

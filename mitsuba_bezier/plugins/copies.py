@@ -12,7 +12,7 @@ from ..errors import BezierError, FileFormatError
 from ..geometry.boxes import finite_parts, reaches_infinity
 from ..geometry.leaves import Leaves
 from ..geometry.triangles import BezierTriangles
-from ..kernels.arrays import upload
+from ..kernels.arrays import gather_packets, upload
 from ..kernels.copies import build_copies, intersect_copies
 from ..kernels.structure import build_structure
 from ..kernels.traverse import Hit
@@ -121,8 +121,13 @@ class CopyTables:
         boxes = np.concatenate([s.copy_boxes for s in shapes])
         structure = build_structure(leaves, mi.Float, trims, objects)
         self.kernel = build_copies(structure, boxes, which, matrices, mi.Float)
-        self.matrices = upload(mi.Float, matrices[:, :3].reshape(-1, 12))
-        self.bytes = self.kernel.bytes + structure.bytes + matrices[:, :3].size * 4
+        rows = np.zeros((len(matrices), 16), dtype=np.float32)
+        rows[:, :9] = matrices[:, :3, :3].reshape(-1, 9)
+        rows[:, 9:12] = matrices[:, :3, 3]
+        rows[:, 12:15] = matrices[:, :3, 3] - rows[:, 9:12]
+        #: Linear parts, translations, and what float32 loses of these.
+        self.matrices = upload(mi.Float, rows)
+        self.bytes = self.kernel.bytes + structure.bytes + rows.nbytes
 
     def intersect(
         self, o: Any, d: Any, t_max: Any, active: Any, any_hit: bool = False
@@ -130,43 +135,19 @@ class CopyTables:
         """Return the hit, and the number of the copy."""
         return intersect_copies(self.kernel, o, d, t_max, active, any_hit)
 
-    def matrix(self, copy: Any, active: Any) -> tuple[Any, Any]:
-        """Return the linear part and the translation of the map of a copy."""
-        rows = [dr.gather(mi.Float, self.matrices, 12 * copy + k, active) for k in range(12)]
-        a = mi.Matrix3f(*(rows[4 * i + j] for i in range(3) for j in range(3)))
-        return a, mi.Vector3f(rows[3], rows[7], rows[11])
+    def place(self, hit: Any, active: Any) -> tuple[Any, Any]:
+        """Return the maps of hits, `mi.Matrix3d` and the translation `mi.Vector3d`.
 
-    def local_ray(self, copy: Any, ray: Any, active: Any) -> Any:
-        """Return the ray in the object's space, with the same parameter."""
-        a, b = self.matrix(copy, active)
-        inverse = dr.rcp(a)
-        local = mi.Ray3f(ray)
-        local.o = dr.select(active, mi.Point3f(inverse @ (mi.Vector3f(ray.o) - b)), ray.o)
-        local.d = dr.select(active, inverse @ ray.d, ray.d)
-        return local
-
-    def to_world(self, si: Any, copy: Any, ray: Any, active: Any) -> Any:
-        """Take an interaction from the object's space to that of a copy; return it."""
-        from .interaction import shading_frame
-
-        a, b = self.matrix(copy, active)
-        normals = dr.rcp(a).T
-        g = normals @ mi.Vector3f(si.n)
-        inv = dr.rcp(dr.norm(g))
-        n = mi.Normal3f(g * inv)
-
-        def turned(dn: Any) -> Any:
-            dg = normals @ dn
-            return (dg - mi.Vector3f(n) * dr.dot(n, dg)) * inv
-
-        dn_du, dn_dv = turned(si.dn_du), turned(si.dn_dv)
-        si.p = dr.select(active, mi.Point3f(a @ mi.Vector3f(si.p) + b), si.p)
-        si.n = dr.select(active, n, si.n)
-        si.dp_du = dr.select(active, a @ si.dp_du, si.dp_du)
-        si.dp_dv = dr.select(active, a @ si.dp_dv, si.dp_dv)
-        si.dn_du = dr.select(active, dn_du, si.dn_du)
-        si.dn_dv = dr.select(active, dn_dv, si.dn_dv)
-        si.sh_frame = shading_frame(si.n, si.dp_du)
-        valid = si.is_valid()
-        si.wi = dr.select(valid, si.to_local(-ray.d), -ray.d)
-        return si
+        Parameters
+        ----------
+        hit : Preliminary
+            Its ``pi.shape_index`` is 1 + the number of the copy; 0 stands for none.
+        active : Bool
+        """
+        copied = hit.bezier & (hit.pi.shape_index != 0) & active
+        copy = dr.select(copied, hit.pi.shape_index - 1, 0)
+        rows = gather_packets(self.matrices, copy, 15, copied)
+        a = mi.Matrix3d(*(mi.Float64(x) for x in rows[:9]))
+        # float32 numbers and what they are off: a translation may be long
+        b = mi.Vector3d(*(mi.Float64(rows[9 + k]) + mi.Float64(rows[12 + k]) for k in range(3)))
+        return dr.select(copied, a, dr.identity(mi.Matrix3d)), b

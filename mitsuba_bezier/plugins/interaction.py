@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from ..kernels.curvature import affine_second_partials, evaluate_second
-from ..kernels.patch import affine_partials, evaluate
-from .attached import follow_ray
+from ..kernels.patch import affine_partials
+
+_XYZ = range(3)
 
 __all__ = ["PatchTables", "Preliminary", "shading_frame", "surface_interaction"]
 
@@ -22,6 +23,12 @@ _STEP = 1e-3
 #: the step from there.
 _THIN = 1e-5
 _FAR = 5e-3
+#: A hit's parameters are good to 1e-6: what a step to the ray changes by more is none.
+_NEAR = 1e-4
+#: Relative change of the partials on the way up to which the step is taken for straight.
+_BENT = 1e-2
+#: What rounding makes of the ray parameter of a hit, relative.
+_ALONG = 2.0**-22
 
 
 @dataclass
@@ -43,60 +50,169 @@ class Preliminary:
 
 
 @dataclass
+class Jet:
+    """A point of a patch relative to an origin, and its partials by the parameters.
+
+    In float64 up to the first partials: so the only roundings are those of the net, which is
+    relative to the origin, too, and of the results.
+    """
+
+    origin: Any  #: Vector3d
+    p: Any  #: Vector3d
+    pu: Any
+    pv: Any
+    puu: Any  #: Vector3f
+    puv: Any
+    pvv: Any
+
+    def moved(self, du: Any, dv: Any) -> Jet:
+        """Return what it is at parameters that differ by so little that squares do not count."""
+        pu, pv = self.change(du, dv)
+        p = self.p + self.pu * du + self.pv * dv
+        return replace(self, p=p, pu=self.pu + mi.Vector3d(pu), pv=self.pv + mi.Vector3d(pv))
+
+    def change(self, du: Any, dv: Any) -> tuple[Any, Any]:
+        """Return how the first partials change."""
+        du, dv = mi.Float(du), mi.Float(dv)
+        return self.puu * du + self.puv * dv, self.puv * du + self.pvv * dv
+
+    def step_to(self, ray: Any, t: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Return what the parameters and `t` of a hit are off, and how that changes.
+
+        The hit is moved to the ray in the tangent plane. Its rounding leaves `t` off, too, but
+        by no more than that: where the ray grazes, the point keeps its place along the ray. The
+        derivatives by the ray and, with attached nets, by the shape are those of the implicit
+        function theorem.
+
+        Returns
+        -------
+        du, dv, dt : Float64
+            The first two are zero where the point is not nearly on the ray.
+        small : Bool
+            Where it is.
+        """
+        o, d = mi.Vector3d(ray.o) - self.origin, mi.Vector3d(ray.d)
+        t = mi.Float64(t)
+        gap = dr.fma(t, d, o) - self.p
+        pu, pv, direction = dr.detach(self.pu), dr.detach(self.pv), dr.detach(d)
+        n = dr.cross(pu, pv)
+        square, facing = dr.squared_norm(n), dr.dot(n, direction)
+        # at a silhouette, and where nothing was hit, nothing follows
+        regular = active & (square > 0) & (facing != 0)
+        inverse = dr.select(regular, 1.0 / dr.select(regular, square, 1.0), 0.0)
+        free = dr.select(regular, -dr.dot(n, gap) / dr.select(regular, facing, 1.0), 0.0)
+        limit = dr.abs(dr.detach(t)) * _ALONG
+        gap += dr.replace_grad(dr.clip(dr.detach(free), -limit, limit), free) * direction
+        du = inverse * dr.dot(dr.cross(pv, n), gap)
+        dv = inverse * dr.dot(dr.cross(n, pu), gap)
+        # where a patch runs to infinity, its partials change at once
+        bent = self.change(du, dv)
+        small = dr.maximum(dr.abs(du), dr.abs(dv)) < _NEAR
+        small &= _size(*bent) < _BENT * _size(self.pu, self.pv)
+        return (
+            dr.replace_grad(dr.select(small, du, 0.0), du),
+            dr.replace_grad(dr.select(small, dv, 0.0), dv),
+            free,
+            small,
+        )
+
+    def is_far(self, ray: Any, t: Any) -> Any:
+        """Tell where a rounding of parameters moves the point further than one of `t`."""
+        reach = dr.max(dr.abs(ray.o)) + mi.Float(t) * dr.norm(ray.d)
+        return _size(self.pu, self.pv) > reach
+
+
+@dataclass
 class PatchTables:
     """What is known of the patches of a list of shapes, numbered through.
 
     Patches have the same degree, lower ones are elevated.
     """
 
-    nets: Any  #: Float, rows of `kernels.patch.pack`
+    nets: Any  #: Float, rows of `kernels.patch.pack`, of nets of `geometry.local_nets`
+    origins: Any  #: Float, four a patch, as there
     degree: int
     shape_of: Any  #: UInt, number of the shape of each patch
     orientation: Any  #: Float per shape, the sign of the normal along dp_du x dp_dv
     texcoords: Any = None  #: Float, six a patch (uv at A, B, C), or None: uv is (u, v)
 
+    def origin(self, patch: Any, active: Any) -> Any:
+        """Return the origins of patches, `mi.Point3f`."""
+        return mi.Point3f(*(dr.gather(mi.Float, self.origins, 4 * patch + k, active) for k in _XYZ))
+
+    def heaviest(self, patch: Any) -> Any:
+        """Return the row of the largest weight of patches."""
+        return mi.UInt32(dr.gather(mi.Float, self.origins, 4 * patch + 3))
+
+    def relative(self, point: Any, patch: Any, active: Any) -> Any:
+        """Return a point relative to the origins of patches."""
+        return mi.Point3f(mi.Vector3d(point) - mi.Vector3d(self.origin(patch, active)))
+
+    def second(self, patch: Any, u: Any, v: Any, active: Any) -> list[list[Any]]:
+        """Return homogeneous points and partials, see `evaluate_second`, from the origins."""
+        return evaluate_second(self.nets, self.degree, patch, u, v, active)
+
+    def jet(self, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Jet:
+        """Return points and partials.
+
+        Parameters
+        ----------
+        place : pair, optional
+            Affine map of each to space: `mi.Matrix3d`, and a translation.
+        """
+        h = self.second(patch, mi.Float64(u), mi.Float64(v), active)
+        origin = mi.Vector3d(self.origin(patch, active))
+        if place is not None:
+            h = _placed(h, place[0])
+            origin = place[0] @ origin + place[1]
+        p, pu, pv = (mi.Vector3d(*x) for x in affine_partials(*h[:3]))
+        rounded = [[mi.Float(a) for a in x] for x in h]
+        second = affine_second_partials(rounded)[3:]
+        return Jet(origin, p, pu, pv, *(mi.Vector3f(*x) for x in second))
+
     def partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point and its first partials by the parameters."""
-        value = evaluate(self.nets, self.degree, patch, u, v, active)
-        p, pu, pv = affine_partials(*value)
-        return mi.Point3f(*p), mi.Vector3f(*pu), mi.Vector3f(*pv)
+        jet = self.jet(patch, u, v, active)
+        return mi.Point3f(jet.p + jet.origin), mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
 
-    def geometry(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Return point, partials, and the normal (not of unit length, flipped as the shape is)."""
-        p, pu, pv = self.partials(patch, u, v, active)
-        n = dr.cross(pu, pv)
+    def normal(self, jet: Jet, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Any:
+        """Return the unit normal at a point of patches, flipped as their shapes are."""
+        n = dr.cross(jet.pu, jet.pv)
         # collapsed edges and corners: the limit from inside
-        flat = active & _is_flat(n, pu, pv)
+        flat = active & _is_flat(n, jet.pu, jet.pv)
         if dr.grad_enabled(n):  # Dr.Jit differentiates selections, not what a branch gathers
-            n = dr.select(flat, self._limit_normal(patch, u, v, flat), n)
+            n = dr.select(flat, self._limit_normal(patch, u, v, flat, place), n)
         else:
             n = dr.if_stmt(
-                args=(n, patch, u, v, flat),
+                args=(n, patch, u, v, flat, place),
                 cond=flat,
-                true_fn=lambda n, patch, u, v, flat: self._limit_normal(patch, u, v, flat),
-                false_fn=lambda n, patch, u, v, flat: n,
+                true_fn=lambda n, patch, u, v, flat, place: self._limit_normal(
+                    patch, u, v, flat, place
+                ),
+                false_fn=lambda n, patch, u, v, flat, place: n,
             )
-        return p, pu, pv, n * self.sign(patch, active)
+        return mi.Normal3f(_unit(n)) * self.sign(patch, active, place)
 
-    def normal_partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any]:
-        """Return the partials of the unit normal by the parameters.
+    def normal_partials(
+        self, pu: Any, pv: Any, patch: Any, u: Any, v: Any, active: Any, place: Any = None
+    ) -> tuple[Any, Any]:
+        """Return the partials of the unit normal by the parameters, given those of the point.
 
         With ``N = p_u x p_v`` they are the parts across ``N`` of its partials over ``|N|``.
         Where the patch is nearly collapsed, rounding leaves nothing of them. There the linear map
         from ``p_u, p_v`` to them, which is continuous, is that of a point nearby inside.
         """
-        _p, pu, pv = self.partials(patch, u, v, active)
         least = dr.minimum(dr.squared_norm(pu), dr.squared_norm(pv))
         most = dr.maximum(dr.squared_norm(pu), dr.squared_norm(pv))
         singular = _is_flat(dr.cross(pu, pv), pu, pv) | ~(least > _THIN * most)
-        h = evaluate_second(
-            self.nets,
-            self.degree,
+        h = self.second(
             patch,
             dr.select(singular, u + _FAR * (1 / 3 - u), u),
             dr.select(singular, v + _FAR * (1 / 3 - v), v),
             active,
         )
+        if place is not None:
+            h = _placed(h, mi.Matrix3f(place[0]))
         a, b, aa, ab, bb = (mi.Vector3f(*x) for x in affine_second_partials(h)[1:])
         n = dr.cross(a, b)
         inv = dr.rsqrt(dr.squared_norm(n))
@@ -110,20 +226,23 @@ class PatchTables:
             # x = (x, b, n) / (a, b, n) a + (a, x, n) / (a, b, n) b in the tangent plane
             return (na * dr.dot(dr.cross(x, b), n) + nb * dr.dot(dr.cross(a, x), n)) * inv
 
-        sign = self.sign(patch, active)
+        sign = self.sign(patch, active, place)
         nu = dr.select(singular, mapped(pu), na)
         nv = dr.select(singular, mapped(pv), nb)
         return nu * sign, nv * sign
 
     def point_and_normal(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point, the unit normal and ``|dp_du x dp_dv|`` at parameters of a patch."""
-        p, pu, pv, n = self.geometry(patch, u, v, active)
-        return p, mi.Normal3f(dr.normalize(n)), dr.norm(dr.cross(pu, pv))
+        jet = self.jet(patch, u, v, active)
+        n = self.normal(jet, patch, u, v, active)
+        return mi.Point3f(jet.p + jet.origin), n, mi.Float(dr.norm(dr.cross(jet.pu, jet.pv)))
 
-    def sign(self, patch: Any, active: Any) -> Any:
+    def sign(self, patch: Any, active: Any, place: Any = None) -> Any:
         """Return the sign of the normal along ``dp_du x dp_dv``."""
         number = dr.gather(mi.UInt32, self.shape_of, patch, active)
-        return dr.gather(mi.Float, self.orientation, number, active)
+        sign = dr.gather(mi.Float, self.orientation, number, active)
+        # a mirror image keeps its outside out
+        return sign if place is None else dr.mulsign(sign, mi.Float(dr.det(place[0])))
 
     def texture(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the texture coordinates and their constant partials by the parameters."""
@@ -136,10 +255,30 @@ class PatchTables:
         du, dv = a - c, b - c
         return mi.Point2f(dr.fma(u, du, dr.fma(v, dv, c))), du, dv
 
-    def _limit_normal(self, patch: Any, u: Any, v: Any, flat: Any) -> Any:
-        _p, pu, pv = self.partials(patch, u + _STEP * (1 / 3 - u), v + _STEP * (1 / 3 - v), flat)
-        inner = dr.cross(pu, pv)
-        return dr.select(dr.squared_norm(inner) > 0, inner, mi.Vector3f(0, 0, 1))
+    def _limit_normal(self, patch: Any, u: Any, v: Any, flat: Any, place: Any) -> Any:
+        near, far = (
+            self.jet(patch, u + step * (1 / 3 - u), v + step * (1 / 3 - v), flat, place)
+            for step in (_STEP, 2 * _STEP)
+        )
+        inner, outer = dr.cross(near.pu, near.pv), dr.cross(far.pu, far.pv)
+        limit = 2.0 * _unit(inner) - _unit(outer)
+        limit = dr.select(dr.squared_norm(outer) > 0, limit, _unit(inner))
+        return dr.select(dr.squared_norm(inner) > 0, limit, mi.Vector3d(0, 0, 1))
+
+
+def _placed(h: list[list[Any]], a: Any) -> list[list[Any]]:
+    """Return homogeneous points and partials under linear maps."""
+    vector = mi.Vector3d if type(h[0][0]) is mi.Float64 else mi.Vector3f
+    return [[*(a @ vector(*x[:3])), x[3]] for x in h]
+
+
+def _size(a: Any, b: Any) -> Any:
+    return dr.norm(mi.Vector3f(a)) + dr.norm(mi.Vector3f(b))
+
+
+def _unit(n: Any) -> Any:
+    """Return vectors of length one; `dr.rsqrt` of float64 is not exact on CUDA."""
+    return n * (1.0 / dr.sqrt(dr.squared_norm(n)))
 
 
 def _is_flat(n: Any, pu: Any, pv: Any) -> Any:
@@ -174,23 +313,24 @@ def shading_frame(n: Any, dp_du: Any) -> Any:
 
 
 def surface_interaction(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, copies: Any = None
 ) -> Any:
     """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere.
 
     All fields are those of Mitsuba's own shapes. ``dn_du``, ``dn_dv`` are computed on request
     (`mi.RayFlags.dNGdUV` or `dNSdUV`: the shading normal is the true one). Partials are by the
     texture coordinates `uv`. Where the nets or the ray carry derivatives, so do all fields: along
-    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters.
+    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters. `copies` (`CopyTables`) tells
+    where patches are that have some.
     """
     ours = hit.bezier & mi.Bool(active)
     if dr.grad_enabled(tables.nets, ray):  # Dr.Jit does not differentiate what a branch gathers
-        return _interaction(tables, hit, ray, flags, ours)
+        return _interaction(tables, hit, ray, flags, ours, copies)
     # a gather costs a packet the same for one ray as for all: none where no ray hits a patch
     return dr.if_stmt(
         args=(hit, ray, ours),
         cond=ours,
-        true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours),
+        true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours, copies),
         false_fn=lambda _hit, ray, _ours: _no_interaction(ray),
         label="bezier interaction",
     )
@@ -205,27 +345,35 @@ def _no_interaction(ray: Any) -> Any:
     return si
 
 
-def _interaction(tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any) -> Any:
+def _interaction(
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any, copies: Any
+) -> Any:
     """Return the interactions of the hits `ours`; see `surface_interaction`."""
     pi = hit.pi
     u, v, t = pi.prim_uv.x, pi.prim_uv.y, pi.t
-    attached = dr.grad_enabled(tables.nets, ray)
     follows_shape = mi.has_flag(flags, mi.RayFlags.FollowShape)
-    if attached and not follows_shape:
-        u, v, t = follow_ray(tables, hit.patch, u, v, t, ray, ours)
-    p, pu, pv, n = tables.geometry(hit.patch, u, v, ours)
-    n = dr.normalize(n)
+    place = None if copies is None else copies.place(hit, ours)
+    jet = tables.jet(hit.patch, u, v, ours, place)
+    du, dv, dt, small = jet.step_to(ray, t, ours)
     # The hit point is the patch's, not o + t d. But (u, v) are float32 numbers too, and where
     # a patch runs to infinity a rounding of them moves the point further than one of t.
-    reach = dr.max(dr.abs(ray.o)) + pi.t * dr.norm(ray.d)
-    p = dr.select(dr.norm(pu) + dr.norm(pv) > reach, dr.fma(t, ray.d, ray.o), p)
-    if attached and follows_shape:
+    far = ~small & jet.is_far(ray, t)
+    if follows_shape:
+        du, dv = dr.detach(du), dr.detach(dv)
+    else:
+        t = dr.replace_grad(t, mi.Float(dt))
+    jet = jet.moved(du, dv)
+    u, v = mi.Float(u + du), mi.Float(v + dv)
+    n = tables.normal(jet, hit.patch, u, v, ours, place)
+    p = mi.Point3f(dr.select(far, mi.Vector3d(ray.o) + t * mi.Vector3d(ray.d), jet.p + jet.origin))
+    pu, pv = mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
+    if follows_shape and dr.grad_enabled(tables.nets, ray):
         t = dr.replace_grad(t, dr.norm(dr.select(ours, p - ray.o, 1.0)) / dr.norm(ray.d))
     uv, duv_du, duv_dv = tables.texture(hit.patch, u, v, ours)
     wants_dn = mi.has_flag(flags, mi.RayFlags.dNGdUV) or mi.has_flag(flags, mi.RayFlags.dNSdUV)
     nu = nv = mi.Vector3f(0.0)
     if wants_dn:
-        nu, nv = tables.normal_partials(hit.patch, u, v, ours)
+        nu, nv = tables.normal_partials(pu, pv, hit.patch, u, v, ours, place)
     if tables.texcoords is not None:
         pu, pv, regular = _by_texture(pu, pv, duv_du, duv_dv)
         # as Mitsuba's meshes: any basis where texture coordinates do not tell one

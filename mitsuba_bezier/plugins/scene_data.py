@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import BezierError
 from ..geometry.leaf_builder import build_leaves, rebuild_leaves
 from ..geometry.leaves import LeafSettings, Leaves
+from ..geometry.local_nets import local_nets
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
@@ -79,12 +80,15 @@ class SceneData:
         self.copies: CopyTables | None = None
         self._build(leaves, np.array(patch_shape)[leaves.patch], table)
         degree = max(shape.patches.degree for shape in shapes)
-        nets = [pack(s.patches.elevate(degree - s.patches.degree).control_points) for s in shapes]
+        nets = [
+            local_nets(s.patches.elevate(degree - s.patches.degree).control_points) for s in shapes
+        ]
         self.patch_shape = upload(mi.UInt32, np.array(patch_shape))
         self.patch_first = upload(mi.UInt32, np.array(patch_first))
         #: What the patches are, for `interaction`.
         self.tables = PatchTables(
-            nets=upload(mi.Float, np.concatenate(nets)),
+            nets=upload(mi.Float, np.concatenate([pack(net) for net, _origin in nets])),
+            origins=upload(mi.Float, np.concatenate([origin for _net, origin in nets])),
             degree=degree,
             shape_of=self.patch_shape,
             orientation=upload(mi.Float, np.array([s.orientation for s in shapes])),
@@ -192,13 +196,7 @@ class SceneData:
         tables = self.tables
         if not mi.has_flag(flags, mi.RayFlags.DetachShape):
             tables = self.attached or attached_tables(tables, self.shapes)
-        if self.copies is None:
-            return surface_interaction(tables, hit, ray, flags, active)
-        copied = hit.bezier & (hit.pi.shape_index != 0) & mi.Bool(active)
-        copy = dr.select(copied, hit.pi.shape_index - 1, 0)
-        local = self.copies.local_ray(copy, ray, copied)
-        si = surface_interaction(tables, hit, local, flags, active)
-        return self.copies.to_world(si, copy, ray, copied)
+        return surface_interaction(tables, hit, ray, flags, active, self.copies)
 
     @contextmanager
     def attach(self, mode: Any) -> Iterator[None]:

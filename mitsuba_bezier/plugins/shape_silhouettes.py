@@ -14,7 +14,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..kernels.curvature import evaluate_second
 from .attached import attached_tables
 from .boundary_lines import BoundaryLines
 from .silhouette import SilhouetteCurves, facing, outward
@@ -194,9 +193,11 @@ def primitive_silhouette_projection(
         line = lines.nearest_edge(patch, u, v, viewpoint, mi.Float(sample), active)
         return _sample(shape, line, int(getattr(flags, "value", flags)))
 
+    near = tables.relative(viewpoint, patch, active)
+
     def newton(k: Any, u: Any, v: Any) -> tuple:
-        h = evaluate_second(tables.nets, tables.degree, patch, u, v, active)
-        f, fu, fv = facing(h, viewpoint)
+        h = tables.second(patch, u, v, active)
+        f, fu, fv = facing(h, near)
         square = fu * fu + fv * fv
         step = dr.select(square > 0, f / square, 0)
         # a third of the triangle at most: further off the linear part says nothing
@@ -207,13 +208,13 @@ def primitive_silhouette_projection(
     _k, u, v = dr.while_loop(
         (mi.UInt32(0), u, v), cond=lambda k, u, v: k < _NEWTON, body=newton, label="bezier contour"
     )
-    h = evaluate_second(tables.nets, tables.degree, patch, u, v, active)
-    p, _pu, _pv, n = tables.geometry(patch, u, v, active)
+    h = tables.second(patch, u, v, active)
+    p, n, _density = tables.point_and_normal(patch, u, v, active)
     d = dr.normalize(p - viewpoint)
     away, curvature = outward(h, d)
     line = lines.empty(patch, u, v, p, d, away, curvature)
     # 1e-4: the sine of the view to the tangent plane that float32 reaches
-    flat = dr.abs(dr.dot(d, n)) < 1e-4 * dr.norm(n)
+    flat = dr.abs(dr.dot(d, n)) < 1e-4
     line.valid = active & flat & (u >= 0) & (v >= 0) & (u + v <= 1)
     return _sample(shape, line, int(getattr(flags, "value", flags)))
 

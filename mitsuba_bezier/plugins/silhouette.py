@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import BezierError
 from ..kernels.arrays import upload
-from ..kernels.curvature import affine_second_partials, evaluate_second
+from ..kernels.curvature import affine_second_partials
 from .contours import Segments, contour_segments, edge_segments
 
 __all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "outward"]
@@ -163,15 +163,16 @@ class SilhouetteCurves:
         across = mi.Vector2f(-chord.y, chord.x)
         foot = a + s * chord
         if self.eye is None:
-            h = evaluate_second(tables.nets, tables.degree, patch, foot.x, foot.y, active)
+            h = tables.second(patch, foot.x, foot.y, active)
             eye, q, dq = mi.Point3f(0.0), foot, chord
         else:
             eye = self.eye
+            near = tables.relative(eye, patch, active)
 
             def newton(k: Any, height: Any) -> tuple:
                 q = foot + height * across
-                h = evaluate_second(tables.nets, tables.degree, patch, q.x, q.y, active)
-                f, fu, fv = facing(h, eye)
+                h = tables.second(patch, q.x, q.y, active)
+                f, fu, fv = facing(h, near)
                 slope = fu * across.x + fv * across.y
                 step = dr.select(is_edge | (slope == 0), 0.0, f / slope)
                 return k + 1, dr.clip(height - step, -1.0, 1.0)
@@ -183,8 +184,8 @@ class SilhouetteCurves:
                 label="bezier silhouette",
             )
             q = foot + height * across
-            h = evaluate_second(tables.nets, tables.degree, patch, q.x, q.y, active)
-            _f, fu, fv = facing(h, eye)
+            h = tables.second(patch, q.x, q.y, active)
+            _f, fu, fv = facing(h, near)
             along = fu * chord.x + fv * chord.y
             slope = fu * across.x + fv * across.y
             dq = chord - dr.select(is_edge | (slope == 0), 0.0, along / slope) * across
@@ -209,7 +210,10 @@ def _edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:
 
 
 def facing(h: list[list[Any]], eye: Any) -> tuple[Any, Any, Any]:
-    """Return ``det(X, X_u, X_v, eye)`` and its partials by the parameters."""
+    """Return ``det(X, X_u, X_v, eye)`` and its partials by the parameters.
+
+    `eye` is relative to the origin of the patch, as `h` is.
+    """
     y, yu, yv, yuu, yuv, yvv = (mi.Vector3f(*x[:3]) - x[3] * eye for x in h)
     return (
         dr.dot(y, dr.cross(yu, yv)),
