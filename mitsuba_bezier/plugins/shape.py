@@ -237,6 +237,8 @@ def make_shape_class() -> type:
                 )
                 patches = self._object if same else BezierTriangles(values)
                 matrix, count = read_affine(self.to_world), len(patches)
+                if np.array_equal(matrix, self._object_to_world.astype(np.float32)):
+                    matrix = self._object_to_world
                 if self.trims is not None and count != len(self.trims):
                     raise NetError.expected(
                         "control_points", f"{len(self.trims)} patches, as the trims have", count
