@@ -72,3 +72,20 @@ def test_every_section_of_the_lecture_has_a_call_a_check_and_a_picture():
         code = "".join(block for _line, block in code_blocks(section))
         assert "assert " in code, section.splitlines()[0]
         assert re.search(r"<!-- picture: renders/\S+\.png: .+ -->|!\[", section), section[:40]
+
+
+def test_the_table_of_formats_is_that_of_the_readers():
+    from mitsuba_bezier.io import _READERS
+    from mitsuba_bezier.io.vtu import _READ
+
+    text = (DOCS / "formats.md").read_text(encoding="utf-8")
+    table = text[text.index("| suffix |") : text.index("Text may be")]
+    needs: dict[str, str] = {}
+    for row in table.splitlines()[2:]:
+        suffixes, what, need = row.split("|")[1:-1] if row else ("", "", "")
+        extras = "".join(re.findall(r"\[\w+\]", need))
+        needs |= dict.fromkeys(re.findall(r"`(\.\w+)`", suffixes), extras)
+        if "`.vtu`" in suffixes:
+            assert {int(n) for n in re.findall(r"\b\d\d\b", what)} == set(_READ)
+    extra = {"meshes": "[mesh]", "cad": "[cad]", "rhino": "[rhino]"}
+    assert needs == {key: extra.get(name.split(".")[0], "") for key, name in _READERS.items()}

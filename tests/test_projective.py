@@ -34,6 +34,23 @@ def test_points_weights_and_infinity():
     assert pg.incidence(pg.point([1, 2, 3]), pg.IDEAL_PLANE) > 0.1
 
 
+def test_what_is_ideal():
+    o, x, far = pg.point([0, 0, 0]), pg.point([1, 2, 3]), pg.ideal([1, 2, 3])
+    # lines of space: only those in the plane at infinity, which hold ideal points alone
+    lines = [pg.meet([1, 2, 3, 4], pg.IDEAL_PLANE), pg.join(o, x), pg.join(x, far)]
+    assert pg.is_ideal(lines).tolist() == [True, False, False]
+    assert pg.is_ideal(pg.line_points(lines[0])).all()
+    # planes, and lines of the plane; the same numbers as a point are the origin
+    planes = [pg.IDEAL_PLANE, -7 * pg.IDEAL_PLANE, [0, 0, 1, -5], [0, 0, 1e-13, 1], [1, 0, 0, 0]]
+    assert pg.is_ideal(planes, dual=True).tolist() == [True, True, False, True, False]
+    assert pg.is_ideal([pg.IDEAL_LINE, [1, 1, 0]], dual=True).tolist() == [True, False]
+    assert not pg.is_ideal(pg.IDEAL_PLANE) and not pg.is_ideal(pg.IDEAL_LINE)
+    assert pg.is_ideal([0, 0, 1e-3, 1], tolerance=1e-2, dual=True)
+    # as computed elements have it: the join of three ideal points, of a size of its own
+    a, b, c = pg.ideal([[3e5, 1, 2], [1, 2e5, 7], [4, 1, 1e-3]])
+    assert pg.is_ideal(pg.join(a, b, c), dual=True) and pg.is_ideal(pg.join(a, b))
+
+
 @pytest.mark.parametrize(
     ("call", "says"),
     [

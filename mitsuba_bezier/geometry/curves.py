@@ -1,8 +1,9 @@
 """`BezierCurve`: rational Bézier curves of any degree in the projective plane and space.
 
 A control point is homogeneous and weighted, ``(w x, w y, w)`` or ``(w x, w y, w z, w)``;
-weights may be zero (a control vector, a point at infinity) or negative. The curve is
-``b(t) = sum B_i(t) b_i`` with ``B_i = C(n, i) (1-t)^(n-i) t^i``.
+weights may be negative. ``(x, y, 0)`` and ``(x, y, z, 0)`` are control vectors, points at
+infinity; a row of zeros takes no part. The curve is ``b(t) = sum B_i(t) b_i`` with
+``B_i = C(n, i) (1-t)^(n-i) t^i``.
 """
 
 from __future__ import annotations

@@ -11,7 +11,8 @@ Elements are homogeneous float64 vectors, told apart by the length of the last a
 
 `join` reads vectors of length 3 or 4 as points, `meet` reads them as lines of the plane or
 planes of space. All functions broadcast over leading axes. An element is ideal (at infinity)
-when ``w = 0``, or when it is the line or plane at infinity, or a line in that plane.
+when ``w = 0``, or when it is the line or plane at infinity, or a line in that plane; `is_ideal`
+tells, and has to be told which of points and their duals it is asked about.
 """
 
 from __future__ import annotations
@@ -169,10 +170,26 @@ def ideal(direction: Any) -> np.ndarray:
     return np.concatenate([d, np.zeros((*d.shape[:-1], 1))], axis=-1)
 
 
-def is_ideal(points: Any, tolerance: float = TOLERANCE) -> np.ndarray:
-    """Tell which points of length 3 or 4 lie at infinity: ``|w| <= tolerance * |(wx, ...)|``."""
-    p = elements("points", points, (3, 4))
-    return np.abs(p[..., -1]) <= tolerance * norm(p[..., :-1])
+def is_ideal(items: Any, tolerance: float = TOLERANCE, *, dual: bool = False) -> np.ndarray:
+    """Tell which elements lie at infinity.
+
+    Parameters
+    ----------
+    items : (..., 3 | 4 | 6) array_like
+        Points, or lines of space: those in the plane at infinity are ideal.
+    tolerance : float
+        What a point's weight, or the normal of a line or plane, or the direction of a line of
+        space may have, relative to the length of the other numbers.
+    dual : bool
+        Read vectors of length 3 as lines of the plane and those of length 4 as planes, as `meet`
+        does: the line and the plane at infinity are ideal. For points these are the origin.
+    """
+    x = elements("items", items, (3, 4, 6))
+    split = 3 if x.shape[-1] == 6 else x.shape[-1] - 1
+    first, last = norm(x[..., :split]), norm(x[..., split:])
+    if x.shape[-1] == 6 or dual:
+        return first <= tolerance * last
+    return last <= tolerance * first
 
 
 def affine(points: Any) -> np.ndarray:

@@ -30,8 +30,8 @@ class Differential(NamedTuple):
 class BezierTriangles:
     """Rational Bézier triangles of one degree.
 
-    A control point is homogeneous and weighted, ``(w x, w y, w z, w)``. Weights may be zero
-    (a control vector, a point at infinity) or negative.
+    A control point is homogeneous and weighted, ``(w x, w y, w z, w)``; weights may be negative.
+    A row ``(x, y, z, 0)`` is a control vector, a point at infinity; a row of zeros takes no part.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ def make_shape_class() -> type:
            - |tensor|
            - Homogeneous control points :math:`(wx, wy, wz, w)` of shape ``(P, K, 4)`` with
              ``K = (n+1)(n+2)/2`` (|exposed|, |differentiable|, |discontinuous|). Weights may
-             be zero (a point at infinity) or negative.
+             be negative; ``(x, y, z, 0)`` is a point at infinity.
          * - filename
            - |string|
            - A file of Bézier triangles instead; see `mitsuba_bezier.load`. A ``.vtu`` file may
