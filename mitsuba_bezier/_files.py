@@ -17,12 +17,20 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from . import _signals
 from .errors import FileFormatError
 
-__all__ = ["check_target", "encoded", "temporary_folder", "write_file"]
+__all__ = [
+    "check_target",
+    "encoded",
+    "is_same",
+    "is_utf8",
+    "refuse_inputs",
+    "temporary_folder",
+    "write_file",
+]
 
 #: Temporary files and folders that exist, or are about to; the end by a signal removes them.
 _unfinished: set[str] = set()
@@ -121,6 +129,39 @@ def check_target(
         raise FileFormatError.expected(
             parameter, "a file that can be written", _reason(path, error)
         ) from None
+
+
+def is_utf8(name: str) -> bool:
+    """Tell whether the bytes of a file name or an argument are text in UTF-8."""
+    try:
+        os.fsencode(name).decode("utf-8")
+    except UnicodeError:
+        return False
+    return True
+
+
+def is_same(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
+    """Tell whether two paths are of one file, which need not be there."""
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return os.path.realpath(a) == os.path.realpath(b)
+
+
+def refuse_inputs(
+    path: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str]], parameter: str
+) -> None:
+    """Raise an error if a file to be written is one of those that are read.
+
+    Raises
+    ------
+    FileFormatError
+        If so.
+    """
+    for file in inputs:
+        if is_same(path, file):
+            got = _shown(os.fspath(path))
+            raise FileFormatError.expected(parameter, "another file than those that are read", got)
 
 
 def encoded(write: Callable[[str], None]) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from fractions import Fraction
 
 import numpy as np
@@ -291,3 +292,161 @@ def test_renders_in_two_files_give_the_bits_of_one_process(tmp_path):
     merged = read_image(tmp_path / "out.exr").channels
     assert_same_bits(merged, total.mean())
     assert merged["R"].max() > 0
+
+
+# ---------------------------------------------------------------- what does not belong together
+
+ALIKE = {
+    "scene": "0123",
+    "sensor": 0,
+    "integrator": "bezierpath",
+    "rfilter": "box",
+    "variant": "llvm_ad_rgb",
+}
+
+
+def write_parts(folder, count, seed=0, plan="8 spp in passes of 4", **attributes):
+    """Write the parts of a render, each of one pass, with the headers of `render --part`."""
+    return [
+        write_part(
+            folder / f"{seed}-{i}of{count}-{len(plan)}.exr",
+            {c: np.full((2, 3), i, np.float32) for c in "RGB"},
+            4,
+            seed,
+            **{**ALIKE, "seeds": str(100 * seed + i + len(plan)), "part": f"{i}/{count}"},
+            **{"plan": plan, **attributes},
+        )
+        for i in range(1, count + 1)
+    ]
+
+
+def test_all_parts_of_a_render_merge(tmp_path):
+    a, b, c = write_parts(tmp_path, 3)
+    assert run("merge", c, a, b, "-o", tmp_path / "out.exr") == 0
+    found = read_image(tmp_path / "out.exr").attributes
+    assert {key: found[key] for key in ALIKE} == ALIKE
+    assert "part" not in found and "plan" not in found and found["seed"] == 0
+    # with another render of the same scene, and with one that says nothing about itself
+    others = write_parts(tmp_path, 2, seed=1)
+    assert run("merge", a, *others, b, c, "-o", tmp_path / "out2.exr") == 0
+
+
+@pytest.mark.parametrize("left", [0, 1, 2])
+def test_a_missing_part_is_named(tmp_path, capsys, left):
+    parts = write_parts(tmp_path, 3)
+    lost = parts.pop(left)
+    out = tmp_path / "out.exr"
+    assert run("merge", *parts, "-o", out) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and f"none that is part {left + 1}/3 of seed 0, 8 spp" in err
+    assert "--allow missing" in err and not out.exists()
+    assert run("merge", *parts, "-o", out, "--allow", "missing", "--keep-sums") == 0
+    # what is not there may still come
+    assert run("merge", out, lost, "-o", tmp_path / "whole.exr") == 0
+    whole = read_image(tmp_path / "whole.exr")
+    assert "part" not in whole.attributes and (whole.channels["R"] == 2).all()
+
+
+def test_two_plans_are_no_render(tmp_path, capsys):
+    ours = write_parts(tmp_path, 2)
+    for other in (
+        write_parts(tmp_path, 2, plan="16 spp in passes of 4"),
+        write_parts(tmp_path, 2, seed=5),
+        write_parts(tmp_path, 3),
+    ):
+        assert run("merge", ours[0], other[1], "-o", tmp_path / "out.exr") == 2
+        assert "PART: expected all parts of a render" in capsys.readouterr().err
+        assert not (tmp_path / "out.exr").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("scene", "scene", "4567"),
+        ("sensor", "sensor", 1),
+        ("integrator", "integrator", "direct"),
+        ("filter", "rfilter", "gaussian"),
+        ("colours", "variant", "llvm_ad_spectral"),
+        ("colours", "variant", "cuda_ad_mono"),
+        ("scene", "scene", None),
+    ],
+)
+def test_another_picture_is_refused_and_allowed_by_name(tmp_path, capsys, name, key, value):
+    a = write_part(tmp_path / "a.exr", ZERO, 4, 1, **ALIKE)
+    other = {**ALIKE, key: value}
+    other = {k: v for k, v in other.items() if v is not None}
+    b = write_part(tmp_path / "b.exr", ZERO, 4, 2, **other)
+    words = ["merge", a, b, "-o", tmp_path / "out.exr"]
+    for order in (words, ["merge", b, a, *words[3:]]):
+        assert run(*order) == 2
+        err = capsys.readouterr().err
+        assert f"{name}: expected " in err and f"--allow {name}" in err and err.count("\n") == 1
+        assert not (tmp_path / "out.exr").exists()
+    assert run(*words, "--allow", "missing") == 2
+    assert run(*words, "--allow", name) == 0
+    found = read_image(tmp_path / "out.exr").attributes
+    assert key not in found and found["spp"] == 8
+
+
+@pytest.mark.parametrize("variant", ["cuda_ad_rgb", "llvm_ad_rgb_double", "cuda_rgb"])
+def test_what_computes_the_colours_does_not_matter(tmp_path, variant):
+    a = write_part(tmp_path / "a.exr", ZERO, 4, 1, **ALIKE)
+    b = write_part(tmp_path / "b.exr", ZERO, 4, 2, **{**ALIKE, "variant": variant})
+    assert run("merge", a, b, "-o", tmp_path / "out.exr") == 0
+
+
+def test_the_same_part_twice(tmp_path, capsys):
+    a, b = write_parts(tmp_path, 2)
+    copy = tmp_path / "copy.exr"
+    copy.write_bytes(a.read_bytes())
+    link = tmp_path / "link.exr"
+    link.symlink_to(a)
+    for again, message in (
+        (a, "each file once"),
+        (link, "each file once"),
+        (copy, "not merged before"),
+    ):
+        assert run("merge", a, b, again, "-o", tmp_path / "out.exr", "--allow", "missing") == 2
+        assert message in capsys.readouterr().err
+        assert not (tmp_path / "out.exr").exists()
+
+
+@pytest.mark.parametrize("how", ["name", "path", "link", "hard link", "through a link"])
+def test_an_input_is_never_overwritten(tmp_path, capsys, monkeypatch, how):
+    monkeypatch.chdir(tmp_path)
+    a, b = (write_part(tmp_path / f"{n}.exr", ZERO, 4, ord(n)) for n in "ab")
+    before = a.read_bytes()
+    (tmp_path / "sub").symlink_to(tmp_path)
+    out = {"name": "a.exr", "path": str(a), "through a link": "sub/a.exr"}.get(how, "c.exr")
+    if how == "link":
+        os.symlink("a.exr", "c.exr")
+    if how == "hard link":
+        os.link("a.exr", "c.exr")
+    assert run("merge", a, b, "-o", out) == 2
+    err = capsys.readouterr().err
+    assert "--output: expected another file than those that are read" in err
+    assert a.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("out", "message"),
+    [
+        ("out.png", "--output: expected a name that ends in .exr, got"),
+        ("out", "--output: expected a name that ends in .exr, got"),
+        ("", "--output: expected the name of a file, got an empty one"),
+        ("none/out.exr", "--output: expected a folder that exists"),
+    ],
+)
+def test_the_output_is_an_exr_file(tmp_path, capsys, monkeypatch, out, message):
+    monkeypatch.chdir(tmp_path)
+    a = write_part(tmp_path / "a.exr", ZERO, 4, 1)
+    before = sorted(os.listdir())
+    assert run("merge", a, "-o", out) == 2
+    assert message in capsys.readouterr().err and sorted(os.listdir()) == before
+
+
+def test_the_names_of_the_command_line_are_those_of_the_module():
+    from mitsuba_bezier.cli import merge as command
+    from mitsuba_bezier.verification import merge
+
+    assert (merge.MISSING, *merge.DIFFERENCES) == command.ALLOWED

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from .._files import check_target, write_file
+from .._files import check_target, is_utf8
 from .._runtime import import_mitsuba
 from ..errors import FileFormatError
 from ..verification import png
 
-__all__ = ["channels_of", "check_output", "write_preview"]
+__all__ = ["channels_of", "check_output", "encode_preview"]
 
 
 def check_output(path: str | Path, parameter: str = "--output", preview: bool = True) -> Path:
@@ -32,10 +32,8 @@ def check_output(path: str | Path, parameter: str = "--output", preview: bool = 
     name = os.fspath(path)
     if not name:
         raise FileFormatError.expected(parameter, "the name of a file", "an empty one")
-    try:
-        os.fsencode(name).decode("utf-8")
-    except UnicodeDecodeError:
-        raise FileFormatError.expected(parameter, "a name in UTF-8", repr(name)) from None
+    if not is_utf8(name):
+        raise FileFormatError.expected(parameter, "a name in UTF-8", repr(name))
     path = Path(path)
     if path.suffix.lower() != ".exr":
         beside = " (a .png preview is written beside it)" if preview else ""
@@ -74,13 +72,11 @@ def _is_colour(name: str) -> bool:
     return channel in ({"R", "G", "B", "A"} if layer else {"R", "G", "B", "A", "X", "Y", "Z"})
 
 
-def write_preview(path: Path, bitmap: Any, exposure: float = 0.0) -> bool:
-    """Write an 8-bit sRGB PNG of the colour channels; return False if there are none.
+def encode_preview(bitmap: Any, exposure: float = 0.0) -> bytes | None:
+    """Return an 8-bit sRGB PNG of the colour channels, or None if there are none.
 
     Parameters
     ----------
-    path : Path
-        The file.
     bitmap : mi.Bitmap
         The image; of a multi-channel image the first colour layer is shown.
     exposure : float
@@ -95,9 +91,8 @@ def write_preview(path: Path, bitmap: Any, exposure: float = 0.0) -> bool:
         else:
             bitmap = bitmap.split()[0][1]
         if bitmap.pixel_format() == formats.MultiChannel:
-            return False
+            return None
     colour = bitmap.convert(formats.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
     pixels = np.nan_to_num(np.array(colour)) * np.float32(2.0**exposure)
     shown = mi.Bitmap(pixels).convert(formats.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
-    write_file(path, png.encode(np.array(shown)), make_folders=True)
-    return True
+    return png.encode(np.array(shown))

@@ -6,10 +6,11 @@ import argparse
 import math
 from contextlib import AbstractContextManager, nullcontext
 
-__all__ = ["add_limits", "limits"]
+__all__ = ["add_limits", "limits", "positive"]
 
 
-def _positive(text: str) -> float:
+def positive(text: str) -> float:
+    """Return a positive number, for a flag."""
     try:
         value = float(text)
     except ValueError:
@@ -24,14 +25,14 @@ def add_limits(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--read-seconds",
         metavar="S",
-        type=_positive,
+        type=positive,
         help="processor time that reading a CAD, Rhino or finite element file may take (default: "
         "10, and 1 more for each 10 kB; or MITSUBA_BEZIER_READ_SECONDS)",
     )
     parser.add_argument(
         "--read-memory",
         metavar="GIB",
-        type=_positive,
+        type=positive,
         help="memory that reading a model may take, in GiB (default: 0.5, and 0.25 more for each "
         "MiB; or MITSUBA_BEZIER_READ_MEMORY)",
     )

@@ -6,6 +6,8 @@ exchanged while all its parameters, from whatever included file or default they 
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from .. import _loading
+from .._files import is_utf8
 from .._runtime import import_mitsuba
 from ..errors import FileFormatError
 from . import _plugins
 
-__all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "load"]
+__all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "check_name", "load", "scene_files"]
 
 SHAPE = "beziertriangle"
 
@@ -39,12 +42,17 @@ HAS_NESTED = ("bezieraov",)
 
 @dataclass(frozen=True)
 class Loaded:
-    """A scene, its integrator, and what the user should be told about the choice."""
+    """A scene, its integrator, and what the user should be told about the choice.
+
+    Also the files that it was read from, and a number that tells it from others (`scene_files`).
+    """
 
     scene: Any
     integrator: Any
     integrator_name: str
     notes: tuple[str, ...]
+    files: tuple[Path, ...] = ()
+    digest: str = ""
 
 
 def load(
@@ -77,12 +85,12 @@ def load(
     """
     mi = import_mitsuba()
     path = Path(path)
-    if not path.is_file():
-        raise FileFormatError.expected("SCENE", "an existing scene file (.xml)", f"{path}")
+    check_name(path)
     config = _loading.parser_config(mi, variant)
     with _loading.relative_to(mi, path, search_paths):
         _plugins.load_own(mi)
         state = _guarded(path, mi.parser.parse_file, config, str(path), **(defines or {}))
+        files = scene_files(mi, state)
         if not allow_plugins:
             _plugins.check(mi, (node.props.plugin_name() for node in state.nodes), path)
         _guarded(path, mi.parser.transform_all, config, state)
@@ -92,7 +100,73 @@ def load(
         if not isinstance(scene, mi.Scene):
             raise FileFormatError.expected("SCENE", "a file whose root is <scene>", f"{path}")
         integrator = scene.integrator() or mi.load_dict({"type": name})
-    return Loaded(scene, integrator, name, tuple(notes))
+    return Loaded(scene, integrator, name, tuple(notes), files, _digest(files, defines or {}))
+
+
+def check_name(path: str | Path) -> None:
+    """Make sure that a scene file is there.
+
+    Raises
+    ------
+    FileFormatError
+        If it is not, or its name is one that Mitsuba cannot take.
+    """
+    if not str(path) or not Path(path).is_file():
+        got = str(path) if str(path) not in ("", ".") else repr(str(path))
+        raise FileFormatError.expected("SCENE", "an existing scene file (.xml)", got)
+    if not is_utf8(os.fspath(path)):
+        raise FileFormatError.expected("SCENE", "a name in UTF-8", repr(str(path)))
+
+
+def scene_files(mi: Any, state: Any) -> tuple[Path, ...]:
+    """Return the files of a parsed scene: XML, and what parameters of its objects name.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba, with the file resolver of the scene.
+    state : mi.parser.ParserState
+        The parsed scene.
+    """
+    resolver = mi.file_resolver()
+    files = [Path(str(file)) for file in state.files]
+    names = []
+    for node in state.nodes:
+        for key in node.props.keys():  # noqa: SIM118 (Properties is no dict)
+            seen = node.props.was_queried(key)
+            if isinstance(value := node.props[key], str):
+                names.append(value)
+            node.props.mark_queried(key, seen)  # Mitsuba tells of parameters that nothing reads
+    for file in files:  # spectra are read while the XML is
+        names += re.findall(r"""filename\s*=\s*["']([^"']*)["']""", _text(file))
+    for name in dict.fromkeys(names):
+        try:
+            found = Path(str(resolver.resolve(name)))
+            if name and found.is_file():
+                files.append(found)
+        except (OSError, RuntimeError, TypeError, ValueError):
+            continue  # a text that is no name of a file
+    return tuple(dict.fromkeys(files))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _digest(files: Sequence[Path], defines: Mapping[str, str]) -> str:
+    """Return a number of the contents of files, whatever their folders, and of parameters."""
+    total = hashlib.sha256(repr(sorted(defines.items())).encode())
+    for file in files:
+        own = hashlib.sha256()
+        with open(file, "rb") as data:
+            while block := data.read(1 << 20):
+                # a scene that has been through another system is the same
+                own.update(block.replace(b"\r", b"") if file.suffix.lower() == ".xml" else block)
+        total.update(own.digest())
+    return total.hexdigest()[:32]
 
 
 def _guarded(path: Path, step: Any, *args: Any, **kwargs: Any) -> Any:

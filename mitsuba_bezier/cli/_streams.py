@@ -12,7 +12,14 @@ import sys
 
 from ..errors import BezierError
 
-__all__ = ["prepare"]
+__all__ = ["prepare", "printable"]
+
+
+def printable(text: str) -> str:
+    """Return text for one line of a terminal: names may hold line ends and control characters."""
+    return "".join(
+        c if c.isprintable() or c == " " else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 class _Descriptor(io.RawIOBase):

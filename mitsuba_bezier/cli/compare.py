@@ -6,10 +6,15 @@ import argparse
 import json
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["add_parser", "run"]
+from .._files import check_target, is_same, refuse_inputs, write_file
+from ..errors import FileFormatError
+from .render import stops
+
+__all__ = ["add_parser", "check_reports", "run"]
 
 _MEASURES = ("RMSE", "relative MSE", "max", "FLIP", "Z-test")
 
@@ -66,7 +71,7 @@ def add_parser(subparsers: Any) -> None:
     limit("--z-share", metavar="X", type=_limit, help="share of pixels that must pass it (0.9975)")
     limit("--allow-nan", action="store_true", default=None, help="let NaN and infinity pass")
     add("--spp", metavar="N", type=_samples, help="samples of B, if its header tells none")
-    add("--exposure", metavar="EV", type=float, help="stops, for the report (by the reference)")
+    add("--exposure", metavar="EV", type=stops, help="stops, for the report (by the reference)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,6 +79,10 @@ def run(args: argparse.Namespace) -> int:
     from ..verification import comparison, report
     from ..verification.thresholds import Thresholds
 
+    for name, value in (("A", args.reference), ("B", args.test)):
+        if not value:
+            raise FileFormatError.expected(name, "an image or a folder", "an empty name")
+    check_reports(args, [args.reference, args.test, args.thresholds])
     names = ("rmse", "relative_mse", "max_abs", "flip", "z_test", "z_share", "allow_nan")
     flags = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     if args.thresholds:
@@ -100,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
             shlex.join(args.argv),
         )
     if args.json == "-":
-        print(json.dumps(outcome, indent=2, ensure_ascii=False))
+        print(json.dumps(outcome, indent=2))  # in ASCII, whatever the locale
     else:
         if args.json:
             _write_json(args.json, outcome)
@@ -125,9 +134,32 @@ def _repeat(args: argparse.Namespace, name: str) -> str:
     return shlex.join(words)
 
 
-def _write_json(path: str, outcome: list[dict[str, Any]]) -> None:
-    from .._files import write_file
+def check_reports(args: argparse.Namespace, inputs: Sequence[str | None] = ()) -> None:
+    """Make sure, before any work, that the files of ``--html`` and ``--json`` can be written.
 
+    Raises
+    ------
+    FileFormatError
+        If not, or if they are one file, or one of those that are read.
+    """
+    for flag, path, suffixes in (
+        ("--html", args.html, (".html", ".htm")),
+        ("--json", None if args.json == "-" else args.json, None),
+    ):
+        if path is None:
+            continue
+        check_target(path, flag, make_folders=True)
+        suffix = Path(path).suffix.lower()
+        if suffixes and suffix not in suffixes:
+            raise FileFormatError.expected(flag, "a name that ends in .html", path)
+        if suffix in (".exr", ".png"):
+            raise FileFormatError.expected(flag, "a name that is none of an image", path)
+        refuse_inputs(path, filter(None, inputs), flag)
+    if args.html and args.json and is_same(args.html, args.json):
+        raise FileFormatError.expected("--json", "another file than --html", args.json)
+
+
+def _write_json(path: str, outcome: list[dict[str, Any]]) -> None:
     text = json.dumps(outcome, indent=2, ensure_ascii=False) + "\n"
     # a file name may hold bytes that are no text; JSON has the same escape for them
     write_file(path, text.encode("utf-8", "backslashreplace"), make_folders=True)

@@ -6,6 +6,7 @@ import argparse
 import sys
 from typing import Any
 
+from .._files import check_target, refuse_inputs
 from ._limits import add_limits
 
 __all__ = ["add_parser", "run"]
@@ -62,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
         if value is not None
     }
     writer_options(args.output, options)  # a wrong suffix is told before the work is done
+    check_target(args.output, "OUT")
+    refuse_inputs(args.output, [args.input], "OUT")
     model = read(args.input, trims=args.trims)
     report = model.report
     groups, trims = model.groups, model.trims or [None] * len(model.groups)

@@ -18,6 +18,7 @@ from .. import _llvm, _runtime
 from .._children import program, python_command
 from .._version import __version__
 from ..errors import RuntimeSetupError
+from ._limits import positive
 
 __all__ = ["add_parser", "examine", "run"]
 
@@ -54,7 +55,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--timeout",
         metavar="S",
-        type=float,
+        type=positive,
         default=120.0,
         help="seconds that a variant may take to start (120)",
     )

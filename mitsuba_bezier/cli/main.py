@@ -109,7 +109,7 @@ def _tell(error: Exception) -> int:
     text = " ".join(str(error).split())
     if not isinstance(error, (BezierError, OSError)):
         text = "this takes more memory than there is"
-    print(f"{PROGRAM}: error: {text}", file=sys.stderr)
+    print(f"{PROGRAM}: error: {_streams.printable(text)}", file=sys.stderr)
     return EXIT_ERROR
 
 

@@ -7,7 +7,12 @@ import shlex
 import sys
 from typing import Any
 
+from ._streams import printable
+
 __all__ = ["add_parser", "run"]
+
+#: `verification.merge.MISSING` and `DIFFERENCES`, which would take a second to import.
+ALLOWED = ("missing", "scene", "sensor", "integrator", "filter", "colours")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -17,7 +22,9 @@ def add_parser(subparsers: Any) -> None:
         help="add up renders of one scene with different seeds",
         description="Merge EXR files of one scene rendered with different seeds into one, "
         "weighted by their samples per pixel. The headers must tell 'spp' and 'seed', as those "
-        "of 'mitsuba-bezier render' do. The order of the parts does not matter.",
+        "of 'mitsuba-bezier render' do. The order of the parts does not matter. What does not "
+        "belong together is refused: parts of another scene, sensor, integrator, filter or kind "
+        "of colours, and a render of which a part is missing.",
     )
     add = parser.add_argument
     add("parts", metavar="PART", nargs="+", help="EXR files")
@@ -27,6 +34,14 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="also write the exact sums, so that the result can be merged again without loss",
     )
+    add(
+        "--allow",
+        metavar="NAME",
+        choices=ALLOWED,
+        action="append",
+        default=[],
+        help=f"merge nevertheless, one of {', '.join(ALLOWED)}; may be given several times",
+    )
     add("--allow-nan", action="store_true", help="let NaN and infinity pass; they stay")
     add("-q", "--quiet", action="store_true", help="show errors only")
 
@@ -34,9 +49,11 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Merge and write the file; return 0."""
     from ..verification.merge import merge_files
+    from . import _images
 
+    output = _images.check_output(args.output, preview=False)
     total, rounded = merge_files(
-        args.parts, args.output, shlex.join(args.argv), args.keep_sums, args.allow_nan
+        args.parts, output, shlex.join(args.argv), args.keep_sums, args.allow_nan, args.allow
     )
     if not args.quiet:
         if rounded:
@@ -46,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
         print(
-            f"mitsuba-bezier: wrote {args.output}: {len(args.parts)} parts, {total.spp} spp",
+            f"mitsuba-bezier: wrote {printable(args.output)}: {len(args.parts)} parts, "
+            f"{total.spp} spp",
             file=sys.stderr,
         )
     return 0

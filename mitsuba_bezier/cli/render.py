@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
 import sys
 import time
@@ -13,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import _runtime, _signals
+from .._files import check_target, is_utf8, refuse_inputs, write_file
 from .._version import __version__
 from ..errors import BezierError, RuntimeSetupError
 from ._limits import add_limits
+from ._streams import printable
 
-__all__ = ["add_parser", "run"]
+__all__ = ["add_parser", "run", "stops"]
 
 DEFAULT_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
@@ -26,6 +29,10 @@ DEFAULT_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 MAX_SPP = 10_000_000
 # the header of an EXR file has signed 32-bit integers
 MAX_INT = (1 << 31) - 1
+# of all processors that there are; each has a stack
+MAX_THREADS = 1024
+# the range of float32, half of it
+MAX_STOPS = 64
 
 
 def _integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
@@ -45,9 +52,28 @@ def _integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
 
 def _define(text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
-    if not key or not equals:
+    if not key or not equals or not is_utf8(text):
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE, got {text!r}")
     return key, value
+
+
+def _folders(text: str) -> list[str]:
+    if not is_utf8(text):  # Mitsuba takes no others
+        raise argparse.ArgumentTypeError(f"expected names in UTF-8, got {text!r}")
+    return [folder for folder in text.split(";") if folder]
+
+
+def stops(text: str) -> float:
+    """Return a number of stops, for a flag."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MAX_STOPS:
+        raise argparse.ArgumentTypeError(
+            f"expected a number from {-MAX_STOPS} to {MAX_STOPS}, got {text!r}"
+        )
+    return value
 
 
 def _part(text: str) -> tuple[int, int]:
@@ -81,8 +107,21 @@ def add_parser(subparsers: Any) -> None:
         help="value of a $KEY in the scene; may be given several times",
     )
     add("-s", "--sensor", metavar="N", type=_integer(0), default=0, help="number of the sensor (0)")
-    add("-a", "--append", metavar="PATHS", default="", help="search paths for files, ';' between")
-    add("-t", "--threads", metavar="N", type=_integer(1), help="number of CPU threads")
+    add(
+        "-a",
+        "--append",
+        metavar="PATHS",
+        type=_folders,
+        default=[],
+        help="search paths for files, ';' between",
+    )
+    add(
+        "-t",
+        "--threads",
+        metavar="N",
+        type=_integer(1, MAX_THREADS),
+        help="number of CPU threads",
+    )
     add("--spp", metavar="N", type=_integer(1, MAX_SPP), help="samples per pixel (the scene's)")
     add("--seed", metavar="K", type=_integer(0), default=0, help="seed of the render (0)")
     add(
@@ -98,7 +137,7 @@ def add_parser(subparsers: Any) -> None:
         help="render only every N-th pass, from the I-th on, with what 'merge' needs to give "
         "the whole render to the bit",
     )
-    add("--exposure", metavar="EV", type=float, default=0.0, help="stops, for the preview (0)")
+    add("--exposure", metavar="EV", type=stops, default=0.0, help="stops, for the preview (0)")
     add(
         "--allow-plugins",
         action="store_true",
@@ -113,11 +152,13 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Render and write the files; return 0."""
     scene_file = Path(args.scene)
-    output = Path(args.output) if args.output else scene_file.with_suffix(".exr")
-    from ..verification.images import write_exr
+    from ..verification.images import encode_exr
     from . import _images, _passes, _scene
 
-    _images.check_output(output)
+    _scene.check_name(args.scene)
+    beside = scene_file.with_suffix(".exr") if args.output is None else args.output
+    output = _images.check_output(beside)
+    preview = output.with_suffix(".png")
 
     variant = _set_variant(args.mode)
     import drjit as dr
@@ -125,16 +166,21 @@ def run(args: argparse.Namespace) -> int:
 
     mi.set_log_level(_log_level(mi, args))
     if args.threads:
-        dr.set_thread_count(args.threads)
+        try:
+            dr.set_thread_count(args.threads)
+        except RuntimeError as error:
+            expected = "a number of threads that this system starts"
+            raise BezierError.expected("--threads", expected, f"{args.threads} ({error})") from None
 
     def say(line: str) -> None:
         if not args.quiet:
             print(line, file=sys.stderr)
 
-    folders = [folder for folder in args.append.split(";") if folder]
-    loaded = _scene.load(scene_file, variant, dict(args.define), folders, args.allow_plugins)
+    loaded = _scene.load(scene_file, variant, dict(args.define), args.append, args.allow_plugins)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {note}")
+    for file in (output, preview):
+        refuse_inputs(file, loaded.files, "--output")
     sensor = _sensor(loaded.scene, args.sensor)
     film = sensor.film()
     spp = args.spp or sensor.sampler().sample_count()
@@ -144,6 +190,11 @@ def run(args: argparse.Namespace) -> int:
         raise BezierError.expected(
             "--part", f"at most {len(passes)} parts, one a pass (see --spp-per-pass)", step
         )
+
+    half = "component_format = float16" in str(film)
+    width, height = film.crop_size()
+    # ZIP halves a picture, roughly; no render has been seen to become an eighth
+    check_target(output, "--output", int(width) * int(height) * 3 * (2 if half else 4) // 8)
 
     ours = [spp if index % step == first else 0 for index, spp in enumerate(passes)]
     started = time.perf_counter()
@@ -170,6 +221,8 @@ def run(args: argparse.Namespace) -> int:
         "passes": len(rendering.passes),
         "seed": args.seed,
         "seeds": " ".join(map(str, rendering.seeds)),
+        "scene": loaded.digest,
+        "sensor": args.sensor,
         "variant": variant,
         "render_seconds": seconds,
         "version_mitsuba_bezier": __version__,
@@ -177,18 +230,22 @@ def run(args: argparse.Namespace) -> int:
         "version_drjit": metadata.version("drjit"),
         "version_llvm": ".".join(map(str, _runtime.llvm_version() or ())) or "none",
     }
-    half = "component_format = float16" in str(film)
-    write_exr(
-        output,
+    if args.part:
+        attributes["part"] = f"{first + 1}/{step}"
+        attributes["plan"] = f"{sum(passes)} spp in passes of {passes[0]}"
+    exr = encode_exr(
         {**_images.channels_of(rendering.bitmap, half), **(rendering.sums if args.part else {})},
         attributes,
         (int(film.crop_offset()[0]), int(film.crop_offset()[1])),
         (int(film.size()[0]), int(film.size()[1])),
     )
-    preview = output.with_suffix(".png")
-    shown = _images.write_preview(preview, rendering.bitmap, args.exposure)
+    png = _images.encode_preview(rendering.bitmap, args.exposure)
+    write_file(output, exr)
+    if png is not None:
+        write_file(preview, png)
+    names = f"{output} and {preview}" if png is not None else f"{output} (no colours: no PNG)"
     say(
-        f"mitsuba-bezier: wrote {output}{f' and {preview}' if shown else ' (no colours: no PNG)'}: "
+        f"mitsuba-bezier: wrote {printable(names)}: "
         f"{rendering.spp} spp, seed {args.seed}, {variant}, {seconds:.1f} s"
     )
     return 0

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._files import temporary_folder
+from .._files import temporary_folder, write_file
 from .._runtime import check, import_mitsuba
 from ..errors import BezierError
 from ..geometry.triangles import BezierTriangles
 from . import _plugins
+from .compare import check_reports
 
 if TYPE_CHECKING:
     from ..verification.cases import Case
@@ -141,6 +142,7 @@ def run(args: argparse.Namespace) -> int:
         raise BezierError.expected("--resolution", "8 to 16384 pixels", args.resolution)
     if args.html_size < 8:
         raise BezierError.expected("--html-size", "8 pixels or more", args.html_size)
+    check_reports(args)
     mi = import_mitsuba()
     check(args.mode)
     mi.set_variant(args.mode)
@@ -212,7 +214,6 @@ def _print(console: Any, verdicts: Sequence[Verdict]) -> None:
 
 
 def _write(path: str, verdicts: Sequence[Verdict], args: argparse.Namespace) -> None:
-    from .._files import write_file
     from .._version import __version__
     from ..verification.verify import LIMITS
 

@@ -20,15 +20,27 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from .._files import is_same, refuse_inputs
 from ..errors import BezierError, FileFormatError
 from .images import Image, read_image, write_exr
 
-__all__ = ["Accumulator", "add_file", "merge_files"]
+__all__ = ["DIFFERENCES", "Accumulator", "add_file", "merge_files"]
+
+#: What parts may differ in if that is wanted, with the attribute of the header that tells it.
+DIFFERENCES = {
+    "scene": "scene",
+    "sensor": "sensor",
+    "integrator": "integrator",
+    "filter": "rfilter",
+    "colours": "variant",
+}
+#: Allows that parts of a plan are not there.
+MISSING = "missing"
 
 _SUM = re.compile(r"sum\d+\.(.+)")
 _WEIGHT = "weight"
@@ -268,6 +280,54 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
     return passes == 1 and constant and kinds == {np.dtype(np.float32)}
 
 
+def _colours(variant: Any) -> Any:
+    """Return the kind of colours of a variant, whatever computes it: ``rgb``, ``spectral``, ..."""
+    if not isinstance(variant, str):
+        return variant
+    backends = ("llvm", "cuda", "metal", "scalar", "ad", "double")
+    return "_".join(word for word in variant.split("_") if word not in backends)
+
+
+def _check_alike(first: Image, image: Image, allow: Collection[str]) -> None:
+    """Raise an error if two parts are not of one picture."""
+    for name, key in DIFFERENCES.items():
+        a, b = first.attributes.get(key), image.attributes.get(key)
+        if key == "variant":
+            a, b = _colours(a), _colours(b)
+        if a != b and name not in allow:
+            raise FileFormatError.expected(
+                f"{image.path}: {name}",
+                f"{'none' if a is None else a}, as in {first.path} (or --allow {name})",
+                "none" if b is None else b,
+            )
+
+
+def _note_part(plans: dict[tuple[str, ...], set[int]], image: Image) -> None:
+    """Note which parts of which plan a file holds."""
+    words = str(image.attributes.get("part", "")).split()
+    for word in words:
+        number, _, count = word.partition("/")
+        if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+            raise FileFormatError.expected(f"{image.path}: part", "I/N", f"{word!r}")
+        # all that makes up a plan: what one of its processes is told
+        plan, seed = (str(image.attributes.get(key, "")) for key in ("plan", "seed"))
+        own = plans.setdefault((count, plan, seed), set())
+        if int(number) - 1 in own:
+            raise FileFormatError.expected(
+                f"{image.path}: part", "one that is not merged before", word
+            )
+        own.add(int(number) - 1)
+
+
+def _missing(plans: Mapping[tuple[str, ...], set[int]]) -> list[str]:
+    """Return the parts that are not there, in words."""
+    return [
+        f"part {index + 1}/{count} of seed {seed}, {plan}"
+        for (count, plan, seed), own in plans.items()
+        for index in sorted(set(range(min(int(count), len(own) + 1))) - own)
+    ]
+
+
 def _frame(image: Image) -> str:
     height, width = image.size
     full = image.full_size or (width, height)
@@ -281,11 +341,16 @@ def merge_files(
     command: str = "",
     keep_sums: bool = False,
     allow_nan: bool = False,
+    allow: Collection[str] = (),
 ) -> tuple[Accumulator, list[str]]:
     """Merge EXR files and write the result.
 
     The header keeps the attributes that all parts share; ``spp``, ``seed``, ``seeds``,
     ``passes`` and ``command`` are those of the whole.
+
+    Parts belong together if their headers tell the same scene, sensor, integrator, filter and
+    kind of colours, as far as they tell any, and if of each plan whose parts (``I/N``) are among
+    them all are.
 
     Parameters
     ----------
@@ -299,6 +364,8 @@ def merge_files(
         Also write the sums, so that the result can itself be merged exactly.
     allow_nan : bool
         Let pixels pass that are not finite; they stay so.
+    allow : collection of str
+        What parts may differ in, of `DIFFERENCES`; ``missing`` allows that some are not there.
 
     Returns
     -------
@@ -308,9 +375,17 @@ def merge_files(
     Raises
     ------
     FileFormatError
-        If a part cannot be used, see `add_file`.
+        If a part cannot be used, see `add_file`, parts do not belong together, or the output is
+        one of them.
     """
+    parts = list(parts)
+    refuse_inputs(output, parts, "--output")
+    for index, path in enumerate(parts):
+        for other in parts[:index]:
+            if is_same(path, other):
+                raise FileFormatError.expected("PART", "each file once", f"{path} twice")
     total = Accumulator()
+    plans: dict[tuple[str, ...], set[int]] = {}
     rounded: list[str] = []
     first: Image | None = None
     shared: dict[str, Any] = {}
@@ -324,6 +399,8 @@ def merge_files(
             first, shared = image, dict(image.attributes)
         if _frame(image) != _frame(first):
             raise FileFormatError.expected(f"{path}: size", _frame(first), _frame(image))
+        _check_alike(first, image, allow)
+        _note_part(plans, image)
         if not add_file(total, image, allow_nan):
             rounded.append(str(path))
         shared = {k: v for k, v in shared.items() if image.attributes.get(k) == v}
@@ -332,6 +409,11 @@ def merge_files(
         passes += max([1, *_integers(image, "passes")])
     if first is None:
         raise FileFormatError.expected("parts", "at least one file", "none")
+    missing = _missing(plans)
+    if missing and MISSING not in allow:
+        raise FileFormatError.expected(
+            "PART", f"all parts of a render (or --allow {MISSING})", f"none that is {missing[0]}"
+        )
     channels = total.mean()
     if half:
         top = np.finfo(np.float16).max  # a larger pixel would become infinite
@@ -340,10 +422,14 @@ def merge_files(
         channels |= total.sums()
     shared |= {
         "spp": total.spp,
-        "seed": min(total.seeds),
+        "seed": shared.get("seed", min(total.seeds)),
         "seeds": " ".join(map(str, sorted(total.seeds))),
         "passes": passes,
         "command": command,
     }
+    for key in ("part", "plan") if not missing else ("part",):
+        shared.pop(key, None)
+    if missing:  # so that the rest can still be merged with this
+        shared["part"] = " ".join(f"{i + 1}/{key[0]}" for key, own in plans.items() for i in own)
     write_exr(output, channels, shared, first.offset, first.full_size)
     return total, rounded

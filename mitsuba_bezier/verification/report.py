@@ -262,6 +262,14 @@ def _panel_data(panel: Panel) -> dict[str, Any]:
     }
 
 
+def _now() -> str:
+    try:
+        now = datetime.datetime.now().astimezone()
+    except ValueError:  # a TZ a whole day off
+        now = datetime.datetime.now(datetime.timezone.utc)
+    return now.strftime("%Y-%m-%d %H:%M %z")
+
+
 def render_report(
     entries: Sequence[Entry],
     title: str,
@@ -290,7 +298,7 @@ def render_report(
         "title": title,
         "subtitle": subtitle,
         "command": command,
-        "made": datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z"),
+        "made": _now(),
         "version": __version__,
         "entries": [
             {
