@@ -300,3 +300,23 @@ def test_deviation_is_that_of_the_net():
     deviation = build_leaves(single(SPHERE)).form[:, DEVIATION]
     # one rounding of float32 is 6e-8, in units of a patch, of which the largest is 2 long
     assert 1e-9 < deviation.max() < 3e-7
+
+
+def test_no_hit_is_lost_in_thin_directions():
+    # the origin of a group is a float32 number, beside its plane by a rounding, and so are points:
+    # the cells of its table must be larger than both
+    rng = np.random.default_rng(8)
+    for k in range(12):
+        matrix = np.eye(4)
+        if k % 3 == 2:
+            matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        matrix[:3, :3] = np.roll(matrix[:3, :3], k, axis=0) * 10.0 ** rng.uniform(-1, 1)
+        matrix[:3, 3] = rng.uniform(-1, 1, size=3)
+        patches = SURFACES["disk"].transform(matrix)
+        uv = rng.dirichlet([2.0, 2.0, 2.0], 4000)[:, :2]
+        target = patches.points(rng.integers(0, len(patches), 4000), uv)
+        size = np.linalg.norm(np.ptp(patches.bounds().reshape(-1, 3), axis=0))
+        o = (target + size * rng.normal(size=target.shape)).astype(np.float32)
+        leaves = build_leaves(patches)
+        assert leaves.are_inverted.all()
+        assert np.array(traced(leaves, o, (target - o).astype(np.float32)).valid).all()

@@ -170,7 +170,7 @@ def find_members_singly(
 
         no = ty.Bool(False)
         _go, left, found, second, leaf, mark = dr.while_loop(
-            (run, left, no, no, leaf, dr.zeros(ty.Float)),
+            (run, left, no, no, leaf, dr.zeros(ty.Float32)),  # as members are
             cond=lambda *st: st[0],
             body=step,
             labels=("go", "left", "found", "second", "leaf", "mark"),

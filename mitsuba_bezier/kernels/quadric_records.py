@@ -43,8 +43,11 @@ FEW = 3
 #: each of 8 x 8 x 8 cells which members may have a point in it, as 16 bits. The sixth and
 #: further bits of the number of members are the number of the group's table, from one on.
 CELLS = 8 + 256
-#: Cells are as much larger, in their own size, as rounding and tolerances make points be off.
-_AROUND = 0.05
+#: Cells are as much larger, in their own size, as tolerances of edges make points be off, and by
+#: this of how far the group reaches, by rounding: of four float32 numbers of that size. Where the
+#: group is thin, as in the direction of a plane's normal, that is more than the first; there a cell
+#: is eight times as large.
+_AROUND, _OFF = 0.05, 5e-7
 
 
 def ranges(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -167,8 +170,10 @@ def cell_records(
     out = np.zeros((len(large), CELLS), dtype=np.uint32)
     for number, g in enumerate(large):
         mine = slice(first[g], first[g] + size[g])
-        cell = _reach(box[mine]) * (1 + _AROUND / 4) / 4
-        half = cell * (0.5 + _AROUND)
+        reach = _reach(box[mine])
+        off = _OFF * np.linalg.norm(reach)
+        cell = np.maximum(reach * (1 + _AROUND / 4) + off, 32 * off) / 4
+        half = cell * (0.5 + _AROUND) + off
         centre = place * cell
         may = (centre + half >= box[mine, None, 0]) & (centre - half <= box[mine, None, 1])
         may = may.all(axis=2)
