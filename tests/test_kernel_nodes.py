@@ -90,6 +90,28 @@ def test_no_box_is_missed(name, float_type):
     assert extra <= 0.3 * hit.sum() + 0.2 * len(o)
 
 
+@pytest.mark.parametrize("count", [1, 30])
+def test_rays_from_afar_at_edges_of_the_box_of_all(count):
+    # where one rounding of the origin is much more than what boxes are padded by
+    boxes = some_boxes(count, 13)
+    rng = np.random.default_rng(14)
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    at = rng.random((4000, 3))
+    for face in rng.permuted(np.tile([0, 1, 2], (len(at), 1)), axis=1)[:, :2].T:  # on an edge
+        at[np.arange(len(at)), face] = rng.integers(0, 2, len(at))
+    target = low + (high - low) * at
+    o = rng.normal(size=target.shape)
+    o = (target + 1000 * o / np.linalg.norm(o, axis=1, keepdims=True)).astype(np.float32)
+    o, d = o.astype(float), (target - o).astype(np.float32).astype(float)
+    hit = expected(np.stack([low, high])[None], o, d)[:, 0]
+    assert 0.2 < hit.mean() < 0.8
+    ty = types_of(plain.Float)
+    nodes = build_nodes(boxes, ty)
+    rays = [[ty.Float(a[:, i].astype(np.float32)) for i in range(3)] for a in (o, d)]
+    walk = begin(ty, nodes, prepare(ty, *rays), dr.full(ty.Float, np.inf, len(o)))
+    assert np.array(walk.goes_on())[hit].all()
+
+
 def test_faces_at_infinity():
     boxes = some_boxes(50, 11)
     boxes[3, 1, 0], boxes[8, 0] = np.inf, -np.inf

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import drjit as dr
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from mitsuba_bezier.geometry.covers import ruled_cover
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.leaves import LeafSettings
 from mitsuba_bezier.kernels.arrays import types_of
-from mitsuba_bezier.kernels.chart import cull, first_root
+from mitsuba_bezier.kernels.chart import _cull, cull, first_root
 from mitsuba_bezier.kernels.structure import Structure, build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 
@@ -260,3 +262,41 @@ def test_grazing_hits(cover):
     points = patches.points(np.array(hit.patch), np.stack([u, v], axis=1))
     # (u, v) are float32, and t as above
     assert np.linalg.norm(o + t[:, None] * d - points, axis=1).max() < 8e-6
+
+
+@pytest.mark.parametrize(("n", "noise", "most"), [(5, 0.4, 1.5), (8, 0.6, 2.0)])
+def test_no_root_is_passed_wherever_the_march_begins(n, noise, most):
+    # its first parameters only say how many steps there will be: what may be off the ray while they
+    # are bad is in the bounds. So make them as bad as can be
+    rng = np.random.default_rng(0)
+    uv = bernstein.multi_indices(n)[:, :2] / n
+    points = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
+    points = points + noise / n * rng.normal(size=points.shape)
+    w = rng.uniform(1 / most, most, (len(uv), 1))
+    patch = mb.BezierTriangles([np.concatenate([points * w, w], axis=1)])
+    leaves = build_leaves(patch, GENERAL)
+    assert leaves.certified.all()
+    count = 20_000
+    target = patch.points(np.zeros(count, dtype=int), rng.dirichlet((2, 2, 2), count)[:, :2])
+    d = rng.normal(size=(count, 3))
+    d = 0.5 * d / np.linalg.norm(d, axis=1, keepdims=True)
+    o, d = (target - d).astype(np.float32), d.astype(np.float32)
+    expected = trace(build_structure(leaves, Float), o, d)
+    assert np.isfinite(expected).all()
+    bad = replace(leaves, form=leaves.form.copy())
+    bad.form[:, 7:13] = rng.uniform(-4, 4, (len(leaves), 6))
+    # 1e-4: the last step is the same to its square and, at grazing angles, the rounding of float32
+    np.testing.assert_allclose(trace(build_structure(bad, Float), o, d), expected, atol=1e-4)
+
+
+def test_what_is_within_the_remainder_is_not_culled():
+    # a level surface to the eye of the quadratic, and a ray that rises beside it
+    x0, e = ([Float(x) for x in row] for row in ((0.2, 0.2, 0.03), (0.1, 0.0, 0.001)))
+    found = []
+    for remainder in (0.05, 0.02):
+        candidate, _line = _cull(
+            Float(0), x0, e, [Float(0)] * 3, Float(remainder), [Float(1e-4)] * 3, None, Float(0),
+            Float(np.inf),
+        )  # fmt: skip
+        found.append(bool(candidate[0]))
+    assert found == [True, False]
