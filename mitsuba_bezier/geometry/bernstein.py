@@ -18,6 +18,7 @@ __all__ = [
     "basis",
     "corner_rows",
     "degree_of",
+    "elevated",
     "elevation_matrix",
     "monomial_matrix",
     "multi_indices",
@@ -238,6 +239,23 @@ def elevation_matrix(n: int) -> np.ndarray:
         if k:
             out[r, row(n, i, j)] += k / (n + 1)
     out.setflags(write=False)
+    return out
+
+
+def elevated(net: np.ndarray, n: int) -> np.ndarray:
+    """Return nets ``(..., K_n, d)`` elevated to degree ``n + 1``.
+
+    The same as the matrix, whose rows have three entries; of high degree it is too large.
+    """
+    if n <= 16:
+        return elevation_matrix(n) @ net
+    i, j, k = multi_indices(n + 1).T
+    out = np.zeros((*net.shape[:-2], size(n + 1), net.shape[-1]))
+    for index, (a, b) in zip((i, j, k), ((i - 1, j), (i, j - 1), (i, j))):
+        used = np.flatnonzero(index)
+        level = n - a[used]
+        rows = level * (level + 1) // 2 + level - b[used]
+        out[..., used, :] += (index[used] / (n + 1))[:, None] * net[..., rows, :]
     return out
 
 

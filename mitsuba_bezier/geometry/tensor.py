@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from math import comb
 from typing import Any
 
@@ -31,7 +31,6 @@ def _tensor_nets(net: Any, parameter: str) -> np.ndarray:
     return nets
 
 
-@cache
 def tensor_matrices(p: int, q: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices ``(K_{p+q}, (p+1)(q+1))`` from a tensor net to two triangles.
 
@@ -39,18 +38,39 @@ def tensor_matrices(p: int, q: int) -> tuple[np.ndarray, np.ndarray]:
     ``1 - t = u + w`` in ``B_i^p(s) B_j^q(t)`` are expanded. The second has ``s = 1 - u``,
     ``t = 1 - v``, so it is the first of the net turned by half a turn.
     """
+    # those of high degree are large: a file of many degrees would fill the memory with them
+    small = (p + 1) * (q + 1) * bernstein.size(p + q) <= 100_000
+    return (_kept_matrices if small else _matrices)(p, q)
+
+
+def _matrices(p: int, q: int) -> tuple[np.ndarray, np.ndarray]:
     n = p + q
+    # exact up to 2^64 where long double has 64 bits, and rounded by less than float64 beyond
+    binomial = np.zeros((n + 1, n + 1), dtype=np.longdouble)
+    binomial[:, 0] = 1
+    for row in range(1, n + 1):
+        binomial[row, 1:] = binomial[row - 1, 1:] + binomial[row - 1, :-1]
     out = np.zeros((bernstein.size(n), p + 1, q + 1))
+    j = np.arange(q + 1)[:, None, None]
+    b = np.arange(q + 1)  # u^b of (u + w)^(q - j)
     for i in range(p + 1):
-        for j in range(q + 1):
-            for a in range(p - i + 1):  # v^a of (v + w)^(p - i)
-                for b in range(q - j + 1):  # u^b of (u + w)^(q - j)
-                    x, y = i + b, j + a
-                    term = comb(p, i) * comb(q, j) * comb(p - i, a) * comb(q - j, b)
-                    out[bernstein.row(n, x, y), i, j] += term / (comb(n, x) * comb(n - x, y))
+        # v^a of (v + w)^(p - i)
+        jj, aa, bb = np.nonzero(np.broadcast_to(b <= q - j, (q + 1, p - i + 1, q + 1)))
+        x, y = i + bb, jj + aa
+        term = binomial[p, i] * binomial[q, jj] * binomial[p - i, aa] * binomial[q - jj, bb]
+        out[_rows(n, x, y), i, jj] = term / (binomial[n, x] * binomial[n - x, y])
     first = out.reshape(len(out), -1)
-    second = out[:, ::-1, ::-1].reshape(len(out), -1)
+    second = np.ascontiguousarray(out[:, ::-1, ::-1]).reshape(len(out), -1)
     return first, second
+
+
+def _rows(n: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return `bernstein.row` of many indices."""
+    level = n - x
+    return level * (level + 1) // 2 + level - y
+
+
+_kept_matrices = lru_cache(maxsize=64)(_matrices)
 
 
 def tensor_to_triangles(net: Any) -> BezierTriangles:

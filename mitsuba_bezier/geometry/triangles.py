@@ -263,7 +263,7 @@ class BezierTriangles:
             raise NetError.expected("times", "a number of elevations >= 0", times)
         net = self._net
         for m in range(self.degree, self.degree + times):
-            net = bernstein.elevation_matrix(m) @ net
+            net = bernstein.elevated(net, m)
         return BezierTriangles(net)
 
     def transform(self, matrix: Any) -> BezierTriangles:

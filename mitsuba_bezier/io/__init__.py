@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import FileFormatError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
+from .limits import too_large
 from .report import FormatWarning, Model, Refusal, Report
 
 __all__ = [
@@ -100,7 +101,11 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
         converted.
     """
     reader = _function(path, _READERS, "read")
-    return reader(path, trims) if trims and Path(path).suffix.lower() in _TRIMMED else reader(path)
+    options = (trims,) if trims and Path(path).suffix.lower() in _TRIMMED else ()
+    try:
+        return reader(path, *options)
+    except MemoryError:
+        raise too_large(path) from None
 
 
 def load(path: str | PathLike[str]) -> BezierTriangles:

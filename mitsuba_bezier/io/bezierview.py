@@ -17,7 +17,7 @@ import numpy as np
 from ..geometry import bernstein
 from ..geometry.triangles import BezierTriangles
 from .files import damaged, write_bytes
-from .geomview import add_polygon
+from .polygon_faces import PolygonFaces
 from .report import Collector, Model
 from .tensor_nets import homogeneous, tensor_nets
 from .text import Tokens
@@ -56,16 +56,17 @@ def read(path: str | PathLike[str]) -> Model:
     # patches of one kind and degree are converted together
     tensors: dict[tuple[int, int], list[tuple[int, np.ndarray]]] = {}
     triangles: dict[int, list[tuple[int, np.ndarray]]] = {}
+    polygons = PolygonFaces()
     normals = False
+    face = 0
     while len(tokens):
         if tokens.peek() in ("group", "Group"):
             line = tokens.line()
             tokens.skip_line(line)  # colour, name, "#" and a level of subdivision
             continue
         kind = tokens.integer("the kind of a patch", 0, 99)
-        face = collector.report.faces
         if kind == 1:
-            _read_polyhedron(tokens, collector)
+            face = _read_polyhedron(tokens, polygons, face)
             continue
         if kind in (3, 9):
             n = tokens.integer("a degree", 1, MAX_DEGREE)
@@ -92,6 +93,8 @@ def read(path: str | PathLike[str]) -> Model:
             raise tokens.error(f"a kind of patch out of {known}", kind, back=1)
         normals |= kind in (9, 10)
         collector.report.accept()
+        face += 1
+    polygons.convert(collector)
     for n, found in triangles.items():
         points = np.array([net for _face, net in found]).reshape(len(found), -1, 3)
         nets = np.empty((*points.shape[:2], 4))
@@ -99,6 +102,7 @@ def read(path: str | PathLike[str]) -> Model:
         collector.add(nets, np.array([face for face, _net in found]))
     for (p, q), found in tensors.items():
         tensor = np.array([net for _face, net in found]).reshape(-1, p + 1, q + 1, 4)
+        collector.expect(2 * bernstein.size(p + q) * len(found))
         collector.add(tensor_nets(tensor), np.repeat([face for face, _net in found], 2))
     if normals:
         collector.report.notes.append(
@@ -107,16 +111,23 @@ def read(path: str | PathLike[str]) -> Model:
     return collector.model(lambda: damaged(path, "at least one patch", "none"))
 
 
-def _read_polyhedron(tokens: Tokens, collector: Collector) -> None:
+def _read_polyhedron(tokens: Tokens, polygons: PolygonFaces, first: int) -> int:
+    """Read the faces of a polyhedron; `first` is the number of its first face.
+
+    Returns
+    -------
+    int
+        The number of the face that follows.
+    """
     limit = len(tokens)
     vertices = tokens.integer("the number of vertices", 1, limit)
     faces = tokens.integer("the number of faces", 0, limit)
     points = homogeneous(tokens.numbers(3 * vertices, "the vertices").reshape(-1, 3))
-    for _ in range(faces):
-        face = collector.report.faces
+    for face in range(first, first + faces):
         size = tokens.integer("the number of corners of a face", 1, limit)
         index = [tokens.integer("a vertex of a face", 0, vertices - 1) for _ in range(size)]
-        add_polygon(collector, f"face {face}", face, points[index])
+        polygons.add(face, points[index])
+    return first + faces
 
 
 def write(triangles: BezierTriangles | list[BezierTriangles], path: str | PathLike[str]) -> None:

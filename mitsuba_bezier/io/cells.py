@@ -17,7 +17,11 @@ from ..geometry.trims import Trims
 from .report import Collector
 from .tensor_nets import tensor_nets
 
-__all__ = ["Cells", "add_cells", "add_surface"]
+__all__ = ["MAX_LAGRANGE", "Cells", "add_cells", "add_surface"]
+
+#: Highest degree of interpolated cells. A function as smooth as a sine is off by 2e-8 at degree
+#: 20, by 6e-6 at 25 and 1e5 at 40: between nodes at equal distances polynomials swing.
+MAX_LAGRANGE = 20
 
 
 @dataclass
@@ -60,7 +64,7 @@ def _order(kind: str, lattice: tuple[tuple[int, ...], ...]) -> np.ndarray:
     return np.lexsort((index[:, 1], index[:, 0]))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _matrix(kind: str, lattice: tuple[tuple[int, ...], ...]) -> np.ndarray:
     """Return the matrix from interpolated nodes, in the order of the file, to Bézier points."""
     index = np.array(lattice)
@@ -103,13 +107,19 @@ def add_cells(
         Of triangles.
     """
     lattice = tuple(map(tuple, cells.lattice.tolist()))
+    degrees = cells.lattice.max(axis=0).tolist()
+    if cells.kind == "quad":
+        size = 2 * bernstein.size(sum(degrees))
+    else:
+        size = len(lattice)
+    collector.expect(size * len(cells.nodes))
     if cells.bezier:
         nets = points[cells.nodes[:, _order(cells.kind, lattice)]]
     else:
         nets = _matrix(cells.kind, lattice) @ points[cells.nodes]
         nets[..., 3] = 1.0  # all weights are 1; the rounding of inv(B) has no place in them
     if cells.kind == "quad":
-        p, q = cells.lattice.max(axis=0).tolist()
+        p, q = degrees
         nets = tensor_nets(nets.reshape(-1, p + 1, q + 1, 4))
         sources = np.repeat(sources, 2)
     collector.add(nets, sources, trims)

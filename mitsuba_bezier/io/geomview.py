@@ -10,12 +10,14 @@ from os import PathLike
 
 import numpy as np
 
+from ..geometry import bernstein
 from .files import damaged, read_bytes
+from .polygon_faces import PolygonFaces
 from .report import Collector, Model
-from .tensor_nets import fan, homogeneous, tensor_nets
+from .tensor_nets import homogeneous, tensor_nets
 from .text import Tokens
 
-__all__ = ["add_polygon", "read", "read_off"]
+__all__ = ["read", "read_off"]
 
 _BEZ = re.compile(
     r"(?P<stbbp>(ST)?BBP)|(?P<color>C)?BEZ(?P<degrees>[1-6]{2})(?P<dim>[34])(?P<st>_ST)?"
@@ -78,6 +80,7 @@ def read(path: str | PathLike[str]) -> Model:
         if tokens.word("}") != "}":
             raise tokens.error("the end of the file", "more text", back=1)
     if rows:
+        collector.expect(2 * bernstein.size(p + q) * count)
         nets = np.array(rows).reshape(count, q + 1, p + 1, dim).swapaxes(1, 2)  # v-major
         if dim == 3:
             nets = homogeneous(nets)
@@ -116,12 +119,15 @@ def read_off(path: str | PathLike[str]) -> Model:
     points = tokens.numbers(vertices * width, "the vertices").reshape(vertices, width)
     corners = points[:, :4] if four else homogeneous(points[:, :3])
     collector = Collector(path, "off")
+    polygons = PolygonFaces()
     for number in range(faces):
         size = tokens.integer(f"the number of corners of face {number}", 1, limit)
         line = tokens.line(back=1)
-        index = [tokens.integer(f"a vertex of face {number}", 0, vertices - 1) for _ in range(size)]
+        name = f"a vertex of face {number}"
+        index = [tokens.integer(name, 0, vertices - 1) for _ in range(size)]
         tokens.skip_line(line)  # colours
-        add_polygon(collector, f"face {number}", number, corners[index])
+        polygons.add(number, corners[index])
+    polygons.convert(collector)
     while tokens.peek() == "}":
         tokens.word("}")
     if len(tokens):
@@ -130,14 +136,3 @@ def read_off(path: str | PathLike[str]) -> Model:
             "the header announces, and are not read"
         )
     return collector.model(lambda: damaged(path, "at least one face", "none"))
-
-
-def add_polygon(collector: Collector, name: str, number: int, corners: np.ndarray) -> None:
-    """Add a polygon of homogeneous corners ``(m, 4)`` to a model, or the reason why not."""
-    if len(corners) < 3:
-        collector.report.refuse(name, "polygon of fewer than three corners")
-    elif (nets := fan(corners)) is None:
-        collector.report.refuse(name, "polygon that is not convex, or without area")
-    else:
-        collector.add(nets, number)
-        collector.report.accept()

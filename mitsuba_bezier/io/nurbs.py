@@ -8,7 +8,6 @@ for any knot vector, clamped or not, and restricts to parts of a span as well.
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -55,19 +54,28 @@ def check_knots(knots: Any, degree: int, count: int, parameter: str = "knots") -
     return knots
 
 
-def _blossom_rows(knots: np.ndarray, degree: int, span: int, a: float, b: float) -> np.ndarray:
-    """Return the matrix from control points ``span-degree .. span`` to Bézier points on [a, b]."""
+#: Numbers in the matrices of intervals that are found together.
+_CHUNK = 1 << 18
+
+
+def _blossoms(
+    knots: np.ndarray, degree: int, spans: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> np.ndarray:
+    """Return the matrices ``(S, p+1, p+1)`` from control points to Bézier points on [a, b].
+
+    Those of an interval in a span are the control points ``span - p .. span``.
+    """
     p = degree
-    out = np.empty((p + 1, p + 1))
+    near = knots[spans[:, None] + np.arange(1 - p, p + 1)]  # from span - p + 1 to span + p
+    out = np.empty((len(spans), p + 1, p + 1))
     for row in range(p + 1):
-        arguments = [a] * (p - row) + [b] * row
-        level = np.eye(p + 1)  # rows: control points span - p .. span
-        for r, t in enumerate(arguments, start=1):
-            lower = knots[span - p + r : span + 1]
-            upper = knots[span + 1 : span + p - r + 2]
-            alpha = ((t - lower) / (upper - lower))[:, None]
-            level = (1 - alpha) * level[:-1] + alpha * level[1:]
-        out[row] = level[0]
+        level = np.broadcast_to(np.eye(p + 1), out.shape)  # rows: control points span - p .. span
+        for r in range(1, p + 1):
+            t = (a if r <= p - row else b)[:, None]
+            lower, upper = near[:, r - 1 : p], near[:, p : 2 * p - r + 1]
+            alpha = ((t - lower) / (upper - lower))[..., None]
+            level = (1 - alpha) * level[:, :-1] + alpha * level[:, 1:]
+        out[:, row] = level[:, 0]
     return out
 
 
@@ -97,13 +105,13 @@ def bezier_matrices(
     low, high = knots[p], knots[-p - 1]
     breaks = np.unique(np.concatenate([knots[p : len(knots) - p], np.ravel(cuts)]))
     breaks = breaks[(breaks >= low) & (breaks <= high)]
-    matrices, first, intervals = [], [], []
-    for a, b in pairwise(breaks):
-        span = int(np.searchsorted(knots, a, side="right")) - 1
-        matrices.append(_blossom_rows(knots, p, span, a, b))
-        first.append(span - p)
-        intervals.append((a, b))
-    return np.array(matrices), np.array(first), np.array(intervals)
+    a, b = breaks[:-1], breaks[1:]
+    spans = np.searchsorted(knots, a, side="right") - 1
+    step = max(1, _CHUNK // (p + 1) ** 2)
+    parts = [slice(at, at + step) for at in range(0, len(a), step)]
+    matrices = [_blossoms(knots, p, spans[part], a[part], b[part]) for part in parts]
+    none = np.zeros((0, p + 1, p + 1))
+    return np.concatenate([none, *matrices]), spans - p, np.stack([a, b], axis=1)
 
 
 def curve_to_bezier(net: Any, knots: Any, degree: int, cuts: Any = ()) -> np.ndarray:

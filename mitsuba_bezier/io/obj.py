@@ -20,7 +20,9 @@ from os import PathLike
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry import bernstein
 from .files import damaged, read_text
+from .limits import check_memory
 from .nurbs import bezier_matrices, check_knots
 from .report import Collector, Model
 from .tensor_nets import homogeneous, tensor_nets
@@ -30,6 +32,9 @@ from .trims import CURVED, rectilinear, trimmed
 __all__ = ["read"]
 
 _MAX_DEGREE = 30
+
+#: Bytes a piece of a trimming curve takes, as an array of its own and in the tests of its loop.
+_PIECE = 1000
 
 _INDEX = re.compile(r"[+-]?[0-9]{1,18}")
 
@@ -100,6 +105,7 @@ class _Reader:
         self.block: _Block | None = None
         self.curves: list[_Curve | None] = []  # None: of a type that is not read
         self.faces = 0
+        self.pieces = 0  # of trimming curves, as often as they are used
         self.remarks: dict[str, int] = {}
         self.unknown: dict[str, list[int]] = {}  # their lines
         self.line = 0
@@ -307,7 +313,15 @@ class _Reader:
                 edges += found
         tensor = net.reshape(n, m, 4).swapaxes(0, 1)  # u runs fastest
         try:
-            patches = trimmed(tensor, (knots_u, knots_v), (p, q), edges, tolerance)
+            each = 2 * bernstein.size(p + q)
+            patches = trimmed(
+                tensor,
+                (knots_u, knots_v),
+                (p, q),
+                edges,
+                tolerance,
+                lambda count: self.collector.expect(each * count),
+            )
         except GeometryError as error:
             raise damaged(self.path, "a surface", error, line=block.line) from None
         if isinstance(patches, str):
@@ -331,6 +345,8 @@ class _Reader:
                 if curve is None:
                     return None
                 loop += list(curve.pieces(start, stop))
+                self.pieces += len(curve.knots)
+                check_memory(self.path, self.pieces * _PIECE, "pieces of trimming curves")
             out.append(loop)
         return out
 

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import FileFormatError
+from ..geometry import bernstein
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
+from .limits import check_control_points
 
 __all__ = ["FormatWarning", "Model", "Refusal", "Report"]
 
@@ -118,6 +120,9 @@ class Model:
         some = any(part is not None for part in parts)
         if len(self.groups) == 1:
             return self.groups[0], parts[0]
+        top = max(group.degree for group in self.groups)
+        count = sum(map(len, self.groups)) * bernstein.size(top)
+        check_control_points(self.report.path, count, f"{count} control points of degree {top}")
         order = np.argsort(np.concatenate(self.sources), kind="stable")
         joined = BezierTriangles.join(self.groups)[order]
         if not some:
@@ -131,9 +136,21 @@ class Collector:
 
     def __init__(self, path: object, format: str) -> None:
         self.report = Report(str(path), format)
+        self._points = 0
         self._nets: dict[int, list[np.ndarray]] = {}
         self._sources: dict[int, list[np.ndarray]] = {}
         self._trims: dict[int, list[Trims | None]] = {}
+
+    def expect(self, points: int) -> None:
+        """Tell that so many control points are about to be made.
+
+        Raises
+        ------
+        FileFormatError
+            If all of them take more memory than a file of this size may.
+        """
+        self._points += points
+        check_control_points(self.report.path, self._points)
 
     def add(self, nets: np.ndarray, sources: np.ndarray | int, trims: Trims | None = None) -> None:
         """Add nets ``(P, K, 4)`` that come from the faces `sources` (one number, or ``(P,)``)."""

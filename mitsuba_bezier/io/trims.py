@@ -7,6 +7,7 @@ whole, so the trimmed face is exact.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ __all__ = ["CURVED", "MAX_CELLS", "parameter_line", "rectangles", "rectilinear",
 
 #: A loop of n edges cuts into up to n^2 / 4 patches: a small file must not fill the memory.
 MAX_CELLS = 100_000
+
+#: Each edge is compared with each patch: some four seconds.
+_MAX_TESTS = 10**9
 
 #: Why a face is refused whose loops are not of this kind.
 CURVED = "trimmed by curves that are not parameter lines"
@@ -74,7 +78,8 @@ def _cuts(edges: list[np.ndarray], knots: np.ndarray, tolerance: float, axis: in
     """Return the distinct coordinates of the edges; those near a knot are replaced by it."""
     values = np.unique(np.concatenate([e[..., axis].ravel() for e in edges]))
     if len(knots):
-        near = knots[np.abs(values[:, None] - knots[None]).argmin(axis=1)]
+        after = np.clip(np.searchsorted(knots, values), 1, len(knots) - 1)
+        near = knots[after - (values - knots[after - 1] <= knots[after] - values)]
         values = np.unique(np.where(np.abs(values - near) <= tolerance, near, values))
     # values closer to each other than the tolerance are one cut
     return values[np.concatenate([[True], np.diff(values) > tolerance])]
@@ -132,6 +137,7 @@ def trimmed(
     degrees: tuple[int, int],
     edges: list[np.ndarray],
     tolerance: np.ndarray,
+    expect: Callable[[int], None] | None = None,
 ) -> np.ndarray | str:
     """Return the Bézier patches of a NURBS surface inside of loops along parameter lines.
 
@@ -147,6 +153,8 @@ def trimmed(
         The loops, as `rectilinear` returns them.
     tolerance : (2,) array
         Cuts closer than that, in u and in v, are one.
+    expect : callable, optional
+        Told the number of patches before they are made.
 
     Returns
     -------
@@ -164,6 +172,17 @@ def trimmed(
     cut_v = _cuts(edges, np.unique(knots_v), tolerance[1], 1)
     if (len(cut_u) + net.shape[0]) * (len(cut_v) + net.shape[1]) > MAX_CELLS + net[..., 0].size:
         return f"its trims cut it into more than {MAX_CELLS} patches"
+    cells = _cells(knots_u, degrees[0], cut_u) * _cells(knots_v, degrees[1], cut_v)
+    if expect is not None:
+        expect(cells)
+    if cells * sum(map(len, edges)) > _MAX_TESTS:
+        return f"its trims have too many edges for its {cells} patches"
     patches, domains = surface_to_bezier(net, knots_u, knots_v, degrees, (cut_u, cut_v))
     left = _inside(domains.mean(axis=2), edges)
     return patches[left] if left.any() else "nothing is left inside of its range and trims"
+
+
+def _cells(knots: np.ndarray, degree: int, cuts: np.ndarray) -> int:
+    """Return the number of intervals along an axis."""
+    domain = knots[degree : len(knots) - degree]
+    return len(np.unique(np.concatenate([domain, np.clip(cuts, domain[0], domain[-1])]))) - 1

@@ -22,12 +22,16 @@ import numpy as np
 
 from ..errors import FileFormatError
 from .files import damaged, decode_text, has_mark, read_bytes
+from .limits import check_memory
 from .lz4 import decompress_block
 
 __all__ = ["Element", "VtkXml", "decode_bytes"]
 
 #: Largest ratio of decoded to stored size each compressor can reach; more is a forged header.
 _MAX_RATIO = {"zlib": 1040, "lz4": 256, "lzma": 8000}
+
+#: Bytes a value of an array takes: as it was decoded, as it is read, as it is converted.
+_VALUE = 24
 
 _COMPRESSORS = {
     "": "",
@@ -155,6 +159,7 @@ class VtkXml:
         if has_mark(data):  # an editor wrote it: then all of it is text
             data = decode_text(path, data).encode()
         self.size = len(data)
+        self._taken = 0  # bytes for arrays so far
         tag = re.search(rb"<AppendedData\b[^>]*>", data)
         self._appended = b""
         self._appended_at = 0
@@ -215,6 +220,7 @@ class VtkXml:
                 count,
                 line=element.line,
             )
+        check_memory(self.path, count * _VALUE, f"{count} as {name}")
         return count
 
     def array(self, element: Element, count: int, kind: str = "number") -> np.ndarray:
@@ -247,6 +253,8 @@ class VtkXml:
             raise damaged(
                 self.path, f"{wanted} of DataArray {label!r}", repr(typename), line=element.line
             )
+        self._taken += count * _VALUE
+        check_memory(self.path, self._taken, f"{count} values in DataArray {label!r}")
         form = element.attributes.get("format", "ascii")
         if form == "ascii":
             out = self._ascii(element, dtype, count)

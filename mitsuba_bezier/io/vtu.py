@@ -26,7 +26,7 @@ import numpy as np
 from ..errors import GeometryError
 from ..geometry import bernstein
 from ..geometry.trims import Trims
-from .cells import Cells, add_cells, add_surface
+from .cells import MAX_LAGRANGE, Cells, add_cells, add_surface
 from .files import damaged
 from .lattices import quad_lattice, tetra_lattice, triangle_lattice
 from .report import Collector, Model
@@ -57,7 +57,7 @@ TRIM_ARRAYS = {
     "points": TrimArray("TrimPoints", 3, "number", True),
 }
 
-#: Highest degree that is read; VTK itself stops at 10 for most cells.
+#: Highest degree of triangles, read or made; VTK itself stops at 10 for most cells.
 MAX_DEGREE = 40
 
 #: Cell types that are read: number to (kind, are the points Bézier points).
@@ -266,14 +266,21 @@ def _read_piece(
     for key, group in zip(found, np.split(np.flatnonzero(chosen)[order], ends)):
         number, size, p, q = key.tolist()
         kind, is_bezier = _READ[number]
-        lattice = _lattice(kind, size, p, q)
-        if lattice is None:
+        most = MAX_DEGREE if is_bezier else MAX_LAGRANGE
+        degree = _degree(kind, size, p, q)
+        if degree is None:
             raise damaged(
                 xml.path,
                 f"a number of points that fits VTK_{_CELL_NAMES[number]}",
                 f"{size} points in cell {group[0]}",
                 line=line,
             )
+        if max(degree) > most or (kind == "quad" and sum(degree) > MAX_DEGREE):
+            reason = f"degree above {most} (the sum of both above {MAX_DEGREE}): not supported"
+            seen = int((~copies[group]).sum())
+            collector.report.refuse(f"cells of type {number}, degree {max(degree)}", reason, seen)
+            continue
+        lattice = _lattice(kind, size, degree)
         index = connectivity[offsets[group][:, None] + np.arange(size)]
         bad = ((index < 0) | (index >= points_count)).any(axis=1)
         if bad.any():
@@ -314,19 +321,22 @@ def _note_ghosts(collector: Collector, count: int) -> None:
         )
 
 
-def _lattice(kind: str, size: int, p: int, q: int) -> np.ndarray | None:
-    """Return where the points of a cell lie; None if their number is not possible."""
+def _degree(kind: str, size: int, p: int, q: int) -> tuple[int, int] | None:
+    """Return the degrees of a cell of `size` points; None if their number is not possible."""
     if kind == "quad":
         if p < 1 or q < 1:
-            p = q = isqrt(size) - 1
-            if size == 8:  # without the middle node
-                return quad_lattice(2, 2, "vtk")[:8]
-        return quad_lattice(p, q, "vtk") if p >= 1 and (p + 1) * (q + 1) == size else None
+            p = q = 2 if size == 8 else isqrt(size) - 1  # 8: without the middle node
+        return (p, q) if p >= 1 and size in ((p + 1) * (q + 1), 8 * (p == q == 2)) else None
     count = {"triangle": bernstein.size, "tetra": lambda n: comb(n + 3, 3)}[kind]
     n = next((n for n in range(1, size) if count(n) >= size), 0)
-    if n < 1 or n > MAX_DEGREE or count(n) != size:
-        return None
-    return triangle_lattice(n) if kind == "triangle" else tetra_lattice(n, "vtk")
+    return (n, n) if n >= 1 and count(n) == size else None
+
+
+def _lattice(kind: str, size: int, degree: tuple[int, int]) -> np.ndarray:
+    """Return where the points of a cell lie."""
+    if kind == "quad":
+        return quad_lattice(*degree, "vtk")[:size]
+    return triangle_lattice(degree[0]) if kind == "triangle" else tetra_lattice(degree[0], "vtk")
 
 
 def _degrees(xml: VtkXml, piece: Element, count: int) -> np.ndarray:
@@ -338,7 +348,7 @@ def _degrees(xml: VtkXml, piece: Element, count: int) -> np.ndarray:
             if element.attributes.get("NumberOfComponents") != "3":
                 raise damaged(xml.path, f"3 components in {name!r}", "others", line=element.line)
             values = xml.array(element, 3 * count).reshape(-1, 3)[:, :2]
-            good = (values >= 0) & (values <= MAX_DEGREE)
+            good = (values >= 0) & (values <= 1000)  # what is higher is refused below
             return np.where(good, values, 0).astype(int)
     return np.zeros((count, 2), int)
 

@@ -18,11 +18,11 @@ Tables further down overrule those before them; flags of the command line overru
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Any
 
 from ..errors import FileFormatError
@@ -108,6 +108,28 @@ def limits_from(values: Mapping[str, Any], where: str, base: Limits | None = Non
     return replace(base or Limits(), **checked)
 
 
+#: What a file of limits may have: bytes, and dots or brackets in a line. tomllib takes memory with
+#: the square of the parts of a dotted key, and Python's stack with the depth of brackets.
+_MAX_BYTES = 1 << 20
+_MAX_NESTED = 60
+
+
+def _parse(name: str, text: bytes) -> dict[str, Any]:
+    """Return the contents of a TOML file."""
+    if len(text) > _MAX_BYTES:
+        raise FileFormatError.expected(name, f"a TOML file of {_MAX_BYTES} bytes at most", "more")
+    for number, line in enumerate(text.split(b"\n"), start=1):
+        if line.count(b".") > _MAX_NESTED or line.count(b"[") + line.count(b"{") > _MAX_NESTED:
+            expected = f"a TOML file with at most {_MAX_NESTED} dots or brackets in a line"
+            raise FileFormatError.expected(name, expected, f"more in line {number}")
+    try:
+        return tomllib.loads(text.decode("utf-8-sig"))
+    except RecursionError:
+        raise FileFormatError.expected(name, "a valid TOML file", "one too deep") from None
+    except ValueError as error:  # of tomllib itself, of the encoding, of numbers and dates
+        raise FileFormatError.expected(name, "a valid TOML file", str(error)[:200]) from None
+
+
 class Thresholds:
     """Limits by image and layer.
 
@@ -153,11 +175,13 @@ class Thresholds:
         """
         name = os.fspath(path)
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
+                if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # it may never end
+                    raise FileFormatError.expected(name, "a TOML file", "no regular file")
+                text = file.read(_MAX_BYTES + 1)
+            data = _parse(name, text)
         except OSError as error:
             raise FileFormatError.expected(name, "a TOML file", f"{error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise FileFormatError.expected(name, "a valid TOML file", f"{error}") from None
         images = data.get("images", {})
         unknown = set(data) - {"default", "images"}
         tables = [data.get("default", {}), images]
