@@ -12,6 +12,7 @@ from typing import Any
 
 from .._files import check_target, is_same, refuse_inputs, write_file
 from ..errors import FileFormatError
+from ._streams import printable
 from .render import stops
 
 __all__ = ["add_parser", "check_reports", "run"]
@@ -179,12 +180,12 @@ def _print(outcome: list[dict[str, Any]]) -> None:
         table.add_column(measure, justify="right")
     lines: list[tuple[str, str]] = []
     for image in outcome:
-        state = image["state"]
+        state, name = image["state"], printable(image["name"])
         if state == "error":
-            table.add_row(Text(image["name"]), Text(state, style=styles[state]))
-            lines.append((f"{image['name']}: {image['error']}", styles[state]))
+            table.add_row(Text(name), Text(state, style=styles[state]))
+            lines.append((f"{name}: {image['error']}", styles[state]))
         for layer in image["layers"]:
-            title = image["name"] + (f":{layer['name']}" if layer["name"] else "")
+            title = name + (printable(f":{layer['name']}") if layer["name"] else "")
             failed = [check for check in layer["checks"] if check["passed"] is False]
             verdict = "fail" if failed else "pass"
             values = {check["name"]: check for check in layer["checks"]}
@@ -193,7 +194,7 @@ def _print(outcome: list[dict[str, Any]]) -> None:
             lines += [(f"{title}: {check['text']}", styles["fail"]) for check in failed]
     console.print(table)
     for line, style in lines:
-        console.print(Text(line, style=style), soft_wrap=True)
+        console.print(Text(printable(line), style=style), soft_wrap=True)
     states = [image["state"] for image in outcome]
     words = [("pass", "passed"), ("fail", "failed"), ("error", "not compared")]
     counts = [f"{states.count(s)} {word}" for s, word in words if s in states]

@@ -8,6 +8,7 @@ from typing import Any
 
 from .._files import check_target, refuse_inputs
 from ._limits import add_limits
+from ._streams import printable
 
 __all__ = ["add_parser", "run"]
 
@@ -76,9 +77,9 @@ def run(args: argparse.Namespace) -> int:
     save(groups, args.output, **options)
     if not args.quiet:
         for note in report.notes:
-            print(f"mitsuba-bezier: note: {note}", file=sys.stderr)
+            print(f"mitsuba-bezier: note: {printable(note)}", file=sys.stderr)
         for refusal in report.refused:
-            print(f"mitsuba-bezier: refused: {refusal}", file=sys.stderr)
+            print(f"mitsuba-bezier: refused: {printable(str(refusal))}", file=sys.stderr)
         patches = sum(map(len, groups))
         degrees = ", ".join(str(g.degree) for g in groups)
         print(

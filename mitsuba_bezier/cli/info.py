@@ -7,6 +7,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from ._limits import add_limits
+from ._streams import printable
 
 if TYPE_CHECKING:
     from ..io import Model
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(found, indent=2))
         return 0
-    print(f"{found['file']} ({found['format']})")
+    print(printable(f"{found['file']} ({found['format']})"))
     print(f"  faces       {found['converted']} of {found['faces']} converted")
     for group in found["patches"]:
         low, high = group["weights"]
@@ -97,9 +98,9 @@ def run(args: argparse.Namespace) -> int:
         print(f"  bounds {name:4} ({numbers})")
     for refusal in found["refused"]:
         count = f"{refusal['count']} x " if refusal["count"] > 1 else ""
-        print(f"  refused     {count}{refusal['face']}: {refusal['reason']}")
+        print(printable(f"  refused     {count}{refusal['face']}: {refusal['reason']}"))
     for note in found["notes"]:
-        print(f"  note        {note}")
+        print(printable(f"  note        {note}"))
     for remark in found["remarks"]:
-        print(f"  also        {remark}")
+        print(printable(f"  also        {remark}"))
     return 0

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         if rounded:
             print(
                 "mitsuba-bezier: note: rounded before, so the result is not that of one process "
-                f"to the last bit: {', '.join(rounded)}",
+                f"to the last bit: {printable(', '.join(rounded))}",
                 file=sys.stderr,
             )
         print(

@@ -25,6 +25,7 @@ import OpenEXR
 from .._files import encoded, write_file
 from ..errors import FileFormatError
 from . import png
+from .image_size import check_size
 
 __all__ = ["SUFFIXES", "Image", "encode_exr", "group_layers", "read_image", "write_exr"]
 
@@ -139,6 +140,13 @@ def _captured() -> Iterator[list[str]]:
 def _read_exr(path: Path) -> Image:
     lines: list[str] = []
     try:
+        with _captured() as lines, OpenEXR.File(str(path), header_only=True) as file:
+            numbers = 0
+            for part in file.parts:
+                (left, top), (right, bottom) = np.array(part.header["dataWindow"], dtype=float)
+                area = (right - left + 1) * (bottom - top + 1)
+                numbers += int(area) * len(part.header.get("channels", ()))
+        check_size(str(path), numbers, path.stat().st_size)
         with _captured() as lines, OpenEXR.File(str(path), separate_channels=True) as file:
             return _from_parts(file.parts, path)
     except FileFormatError:

@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import _runtime
 from ..errors import FileFormatError
+from .image_size import check_size
 
 __all__ = ["decode", "encode"]
 
@@ -60,6 +61,9 @@ def decode(data: bytes, name: str) -> np.ndarray:
         If the data are damaged or no PNG.
     """
     _check(data, name)
+    if data[12:16] == b"IHDR":
+        width, height = struct.unpack_from(">II", data, 16)
+        check_size(name, width * height * {0: 1, 4: 2, 6: 4}.get(data[25], 3), len(data))
     mi = _runtime.import_mitsuba()
     stream = mi.MemoryStream()
     stream.write(data)
