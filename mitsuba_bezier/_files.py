@@ -17,7 +17,7 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from . import _signals
 from .errors import FileFormatError
@@ -30,6 +30,7 @@ __all__ = [
     "refuse_inputs",
     "temporary_folder",
     "write_file",
+    "write_files",
 ]
 
 #: Temporary files and folders that exist, or are about to; the end by a signal removes them.
@@ -72,19 +73,42 @@ def write_file(
     FileFormatError
         If the file cannot be written, or not be brought to the disk.
     """
-    path = os.fspath(path)
-    parameter = parameter or _shown(path)
-    try:
+    with _told(path, parameter):
         if make_folders:
             os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
-        _refuse(path, parameter)
-        _replace(path, memoryview(data).cast("B"))
-    except (OSError, ValueError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError.expected(
-            parameter, "a file that can be written", _reason(path, error)
-        ) from None
+    write_files({path: data}, parameter)
+
+
+def write_files(
+    files: Mapping[str | os.PathLike[str], bytes | bytearray | memoryview], parameter: str = ""
+) -> None:
+    """Write files of one result, as `write_file` does: no old one goes before all are there.
+
+    Raises
+    ------
+    FileFormatError
+        If a file cannot be written, or not be brought to the disk.
+    """
+    temporaries: dict[str, str] = {}
+    try:
+        for path, data in files.items():
+            with _told(path, parameter):
+                path = os.fspath(path)
+                _refuse(path, parameter or _shown(path))
+                temporaries[path] = temporary = _temporary(os.path.dirname(path))
+                _write_new(temporary, memoryview(data).cast("B"), _old(path))
+        for path, temporary in temporaries.items():
+            with _told(path, parameter):
+                os.replace(temporary, path)
+                _written.add(path)
+    finally:
+        for temporary in temporaries.values():
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+            _unfinished.discard(temporary)
+    for path in temporaries:
+        with _told(path, parameter):
+            _sync_folder(os.path.dirname(path) or ".")
 
 
 def check_target(
@@ -110,7 +134,7 @@ def check_target(
         is missing or cannot be written to, the old file is write-protected, or the disk is full.
     """
     path = os.fspath(path)
-    try:
+    with _told(path, parameter):
         _refuse(path, parameter)
         folder = os.path.dirname(path) or "."
         while make_folders and not os.path.lexists(folder) and os.path.dirname(folder) != folder:
@@ -118,17 +142,12 @@ def check_target(
         if not os.path.isdir(folder):
             raise FileFormatError.expected(parameter, "a folder that exists", _shown(folder))
         _try_folder(folder, parameter)
+        _check_owner(path, folder, parameter)
         free = _free(folder)
         if free is not None and free <= size:
             raise FileFormatError.expected(
                 parameter, f"at least {max(size, 1)} bytes of free space", f"{free} in {folder}"
             )
-    except (OSError, ValueError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError.expected(
-            parameter, "a file that can be written", _reason(path, error)
-        ) from None
 
 
 def is_utf8(name: str) -> bool:
@@ -253,6 +272,20 @@ def _try_folder(folder: str, parameter: str) -> None:
         _unfinished.discard(temporary)
 
 
+def _check_owner(path: str, folder: str, parameter: str) -> None:
+    """Raise an error for another user's file in a folder such as /tmp, where it cannot be replaced.
+
+    There only root and the owners of the file and of the folder may do so.
+    """
+    if not hasattr(os, "geteuid") or not os.path.lexists(path):
+        return
+    place, user = os.stat(folder), os.geteuid()
+    if place.st_mode & stat.S_ISVTX and user not in (0, place.st_uid, os.lstat(path).st_uid):
+        raise FileFormatError.expected(
+            parameter, "a file that can be replaced", f"{_shown(path)}, which is another user's"
+        )
+
+
 def _free(folder: str) -> int | None:
     """Return the free bytes of a folder's disk, or None where that cannot be told."""
     try:
@@ -262,36 +295,41 @@ def _free(folder: str) -> int | None:
     return found.f_bavail * found.f_frsize if found.f_blocks else None
 
 
-def _replace(path: str, data: memoryview) -> None:
-    temporary = _temporary(os.path.dirname(path))
-    old = _old(path)
-    _unfinished.add(temporary)
+@contextlib.contextmanager
+def _told(path: str | os.PathLike[str], parameter: str) -> Iterator[None]:
+    """Turn errors of the system into ours."""
     try:
-        mode = 0o666 if old is None else old.st_mode & 0o777
-        descriptor = os.open(temporary, _EXCLUSIVE, mode)
-        try:
-            if old is not None:
-                _take_permissions(descriptor, old)
-            at = 0
-            while at < len(data):
-                # Linux writes no more than 2 GiB at once, macOS refuses to
-                written = os.write(descriptor, data[at : at + (1 << 30)])
-                if not written:
-                    raise OSError(errno.EIO, os.strerror(errno.EIO))
-                at += written
-            os.fsync(descriptor)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
+        yield
+    except (OSError, ValueError) as error:
+        if isinstance(error, FileFormatError):
             raise
-        os.close(descriptor)  # some network file systems tell only here that the disk is full
-        os.replace(temporary, path)
-        _written.add(path)
-    finally:
+        name = os.fspath(path)
+        raise FileFormatError.expected(
+            parameter or _shown(name), "a file that can be written", _reason(name, error)
+        ) from None
+
+
+def _write_new(temporary: str, data: memoryview, old: os.stat_result | None) -> None:
+    """Bring a new file to the disk; whatever fails is told, the last bytes' fate too."""
+    _unfinished.add(temporary)
+    mode = 0o666 if old is None else old.st_mode & 0o777
+    descriptor = os.open(temporary, _EXCLUSIVE, mode)
+    try:
+        if old is not None:
+            _take_permissions(descriptor, old)
+        at = 0
+        while at < len(data):
+            # Linux writes no more than 2 GiB at once, macOS refuses to
+            written = os.write(descriptor, data[at : at + (1 << 30)])
+            if not written:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            at += written
+        os.fsync(descriptor)
+    except BaseException:
         with contextlib.suppress(OSError):
-            os.unlink(temporary)
-        _unfinished.discard(temporary)
-    _sync_folder(os.path.dirname(path) or ".")
+            os.close(descriptor)
+        raise
+    os.close(descriptor)  # some network file systems tell only here that the disk is full
 
 
 def _old(path: str) -> os.stat_result | None:

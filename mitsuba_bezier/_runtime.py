@@ -25,6 +25,7 @@ from .errors import RuntimeSetupError, VariantError
 __all__ = [
     "VARIABLE",
     "check",
+    "check_folder",
     "import_mitsuba",
     "llvm_origin",
     "llvm_path",
@@ -107,6 +108,22 @@ def _restart() -> None:
     core._Z8jit_initj(sum(1 << kind.value for kind in (dr.JitBackend.CUDA, dr.JitBackend.LLVM)))
 
 
+def check_folder() -> None:
+    """Make sure that there is a current folder, without which Mitsuba aborts the process.
+
+    Raises
+    ------
+    RuntimeSetupError
+        If there is none.
+    """
+    try:
+        os.getcwd()
+    except OSError:
+        raise RuntimeSetupError.expected(
+            "current folder", "one that exists", "one that was removed"
+        ) from None
+
+
 def import_mitsuba() -> ModuleType:
     """Import and return Mitsuba.
 
@@ -115,6 +132,7 @@ def import_mitsuba() -> ModuleType:
     RuntimeSetupError
         If Dr.Jit or Mitsuba cannot be loaded, above all without ``libatomic.so.1``.
     """
+    check_folder()
     try:
         return import_module("mitsuba")
     except (ImportError, NameError) as error:

@@ -237,6 +237,19 @@ def test_what_cannot_be_printed_is_an_error(folder, command, reason):
 
 
 @posix
+def test_a_folder_that_is_gone_or_has_no_name_in_utf8(folder):
+    (folder / "gone").mkdir()
+    done = shell("cd gone && rmdir ../gone && $M render ../ball.xml -q")
+    expected = "current folder: expected one that exists, got one that was removed"
+    assert (done.returncode, done.stderr) == (2, f"mitsuba-bezier: error: {expected}\n")
+    (folder / "\udcff").mkdir()
+    os.rename("ball.xml", "\udcff/ball.xml")
+    done = shell("cd * 2>/dev/null; cd $(printf '\\377'); $M render ball.xml -q")
+    assert done.returncode == 2 and "SCENE: expected a name in UTF-8" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+@posix
 def test_locales_and_time_zones(folder):
     ascii_only = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
     done = shell("$M --help && $M convert --help", **ascii_only)

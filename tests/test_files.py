@@ -103,6 +103,38 @@ def test_a_fault_at_a_later_write(folder, monkeypatch):
             _files.write_file(folder / "a", b"new")
 
 
+@pytest.mark.parametrize("call", ["open", "write", "fsync", "close"])
+def test_a_fault_at_the_second_of_two_files_leaves_both_old_ones(folder, monkeypatch, call):
+    for name in "ab":
+        (folder / name).write_bytes(b"old")
+    with monkeypatch.context() as patch:
+        calls = fail(patch, call, errno.ENOSPC, 2)
+        with pytest.raises(mb.FileFormatError, match="b: No space"):
+            _files.write_files({folder / "a": b"new", folder / "b": b"new"})
+    assert len(calls) == 2 and {(folder / name).read_bytes() for name in "ab"} == {b"old"}
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="users of POSIX")
+def test_another_users_file_in_a_folder_like_tmp_is_told_before(folder, monkeypatch):
+    path = folder / "a"
+    path.write_bytes(b"old")
+    me = os.geteuid()
+    for mode, user, fine in (
+        (0o1777, me, True),
+        (0o1777, me + 1, False),
+        (0o777, me + 1, True),
+        (0o1777, 0, True),
+    ):
+        folder.chmod(mode)
+        monkeypatch.setattr(os, "geteuid", lambda user=user: user)
+        if fine:
+            _files.check_target(path, "OUT")
+        else:
+            with pytest.raises(mb.FileFormatError, match="a, which is another user's"):
+                _files.check_target(path, "OUT")
+    _files.check_target(folder / "new", "OUT")
+
+
 def test_a_fault_of_the_folder_is_told_and_both_files_are_whole(folder, monkeypatch):
     """The last call of all: the new file is in its place, but the disk may forget its name."""
     (folder / "a").write_bytes(b"old")

@@ -114,8 +114,9 @@ def check_name(path: str | Path) -> None:
     if not str(path) or not Path(path).is_file():
         got = str(path) if str(path) not in ("", ".") else repr(str(path))
         raise FileFormatError.expected("SCENE", "an existing scene file (.xml)", got)
-    if not is_utf8(os.fspath(path)):
-        raise FileFormatError.expected("SCENE", "a name in UTF-8", repr(str(path)))
+    for name in (str(path), os.path.dirname(os.path.realpath(path))):
+        if not is_utf8(name):
+            raise FileFormatError.expected("SCENE", "a name in UTF-8", repr(name))
 
 
 def scene_files(mi: Any, state: Any) -> tuple[Path, ...]:

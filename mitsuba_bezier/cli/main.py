@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
-from .. import _signals
+from .. import _runtime, _signals
 from .._version import __version__
 from ..errors import BezierError
 from . import _streams
@@ -92,6 +92,7 @@ def _run(words: list[str]) -> int:
     args = _parser(words).parse_args(words)
     args.argv = [PROGRAM, *words]
     try:
+        _runtime.check_folder()
         with limits(args):
             return import_module(f".{args.command}", __package__).run(args)
     except KeyboardInterrupt:

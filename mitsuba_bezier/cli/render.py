@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import _runtime, _signals
-from .._files import check_target, is_utf8, refuse_inputs, write_file
+from .._files import check_target, is_utf8, refuse_inputs, write_files
 from .._version import __version__
 from ..errors import BezierError, RuntimeSetupError
 from ._limits import add_limits
@@ -240,9 +240,7 @@ def run(args: argparse.Namespace) -> int:
         (int(film.size()[0]), int(film.size()[1])),
     )
     png = _images.encode_preview(rendering.bitmap, args.exposure)
-    write_file(output, exr)
-    if png is not None:
-        write_file(preview, png)
+    write_files({output: exr} if png is None else {output: exr, preview: png})
     names = f"{output} and {preview}" if png is not None else f"{output} (no colours: no PNG)"
     say(
         f"mitsuba-bezier: wrote {printable(names)}: "

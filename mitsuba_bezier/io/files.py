@@ -5,13 +5,12 @@ from __future__ import annotations
 import codecs
 import os
 import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-from .._files import write_file
+from .._files import temporary_folder, write_file
 from ..errors import FileFormatError
 
 __all__ = [
@@ -180,9 +179,9 @@ def plain_copy(path: str | PathLike[str]) -> Iterator[Path]:
     if not has_mark(data) and not lone:
         yield Path(path)
         return
-    with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
+    with temporary_folder() as folder:
         copy = Path(folder) / f"model{Path(path).suffix.lower()}"
-        copy.write_bytes(decode_text(path, data).encode())
+        write_file(copy, decode_text(path, data).encode())
         yield copy
 
 

@@ -76,6 +76,7 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
                 stdin=theirs,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
+                env={**os.environ, "TMPDIR": folder},  # what it leaves goes with the folder
             )
             try:
                 stderr = _wait(process, seconds)

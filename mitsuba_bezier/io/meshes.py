@@ -6,13 +6,13 @@ of their own here, which know all orders and need no other package.
 
 from __future__ import annotations
 
-import tempfile
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .._files import temporary_folder, write_file
 from ..errors import FileFormatError
 from .cells import Cells, add_cells, add_surface
 from .files import damaged, read_text
@@ -67,9 +67,9 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     suffix = Path(path).suffix.lower()
     readers = {".inp": "abaqus", ".mesh": "medit"}
     text = prepared(path, suffix, text, collector.report)
-    with tempfile.TemporaryDirectory(prefix="mitsuba_bezier_") as folder:
+    with temporary_folder() as folder:
         copy = Path(folder) / f"mesh{suffix}"
-        copy.write_text(text, encoding="ascii", errors="replace")
+        write_file(copy, text.encode("ascii", "replace"))
         try:
             mesh = getattr(meshio, readers.get(suffix, "nastran")).read(str(copy))
         except MemoryError:
