@@ -69,7 +69,7 @@ def patch_areas(nets: np.ndarray, tolerance: float) -> np.ndarray:
         middle = (local[..., :3] * np.sign(w)).sum(axis=1) / np.abs(w).sum(axis=1)
         local[..., :3] -= w * middle[:, None]
         out[patch] = _refined(local, tolerance, step)
-    return out
+    return np.where(np.isnan(out), np.inf, out)  # too large for float64
 
 
 def _refined(nets: np.ndarray, tolerance: float, step: int) -> np.ndarray:

@@ -78,7 +78,7 @@ def _open_sides(nets: np.ndarray) -> np.ndarray:
     sign = np.where((w >= 0).all(axis=1), 1.0, np.where((w <= 0).all(axis=1), -1.0, 0.0))
     vector = np.where(corners[..., 3:] == 0, corners[..., :3] * sign[:, None, None], 0.0)
     out = np.stack([(vector < 0).any(axis=1), (vector > 0).any(axis=1)], axis=1)
-    out[_crosses(corners)] = True
+    out[_crosses(corners) | ~w.any(axis=1)] = True
     return out
 
 

@@ -13,6 +13,7 @@ from .exact_leaves import exact_leaves
 from .graph_leaves import subdivide
 from .inverted_leaves import inverted_leaves
 from .leaves import DEVIATION, LeafSettings, Leaves
+from .proper_nets import free_of_factor, spans_area
 from .section_leaves import section_leaves
 from .sector_leaves import sector_leaves
 from .triangles import BezierTriangles
@@ -40,12 +41,21 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     Returns
     -------
     Leaves
-        The domains of the leaves of one patch tile its triangle.
+        The domains of the leaves of one patch tile its triangle. Points and curves have none.
     """
     settings = settings or LeafSettings()
-    nets = patches.control_points
+    nets = free_of_factor(patches.control_points)
+    surfaces = np.flatnonzero(spans_area(nets))
+    if len(surfaces) < len(patches):  # no ray meets the others
+        parts = [Leaves.empty(nets.shape[1])]
+        if len(surfaces):
+            leaves = build_leaves(BezierTriangles(nets[surfaces]), settings)
+            parts.append(replace(leaves, patch=surfaces[leaves.patch]))
+        return Leaves.join(parts)
+    if nets is not patches.control_points:
+        patches = BezierTriangles(nets)
     numbers = np.arange(len(patches))
-    parts: list[Leaves] = []
+    parts = []
     if settings.closed_form:
         quadratic: list[Finder] = [exact_leaves]
         if settings.sections:

@@ -37,9 +37,12 @@ class Tree:
 def build_tree(boxes: np.ndarray) -> Tree:
     """Build the tree over boxes ``(L, 2, 3)``, whose faces may be infinite.
 
-    Each leaf is one node; a single leaf is the root.
+    Each leaf is one node; a single leaf is the root. Without leaves the root has no children.
     """
     count = len(boxes)
+    if count == 0:
+        none = np.full(2, NO_LEAF, dtype=np.uint32)
+        return Tree(np.zeros((2, 2, 3)), none, np.zeros(0, dtype=np.int64))
     # even, as nodes with four children leave out every other level
     depth = 2 * int(np.ceil(np.log2(_ROOM * count) / 2)) if count > 1 else 0
     total = 2 << depth

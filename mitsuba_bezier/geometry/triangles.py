@@ -12,8 +12,13 @@ from ..errors import NetError
 from . import bernstein
 from .areas import patch_areas
 from .boxes import hull_boxes, surface_boxes
+from .proper_nets import free_of_factor
 
 __all__ = ["BezierTriangles", "Differential"]
+
+#: Powers of two, either way, up to which factors of nets do no harm: products of a few do not leave
+#: the range of float64.
+_MODERATE = 200
 
 
 class Differential(NamedTuple):
@@ -79,6 +84,7 @@ class BezierTriangles:
             )
         net.setflags(write=False)
         self._net = net
+        self._free: np.ndarray | None = None
 
     # ------------------------------------------------------------------ basic facts
 
@@ -86,6 +92,13 @@ class BezierTriangles:
     def control_points(self) -> np.ndarray:
         """The nets, ``(P, K, 4)`` float64, read-only."""
         return self._net
+
+    @property
+    def _free_net(self) -> np.ndarray:
+        """The nets, of which those with factors whose products overflow are freed of them."""
+        if self._free is None:
+            self._free = free_of_factor(self._net, _MODERATE)
+        return self._free
 
     @property
     def degree(self) -> int:
@@ -161,6 +174,9 @@ class BezierTriangles:
         list of (N, 4) arrays
             For ``order = 1``: value, d/du, d/dv; for ``order = 2`` also uu, uv, vv.
         """
+        return self._partials(self._net, patch, uv, order)
+
+    def _partials(self, nets: np.ndarray, patch: Any, uv: Any, order: int) -> list[np.ndarray]:
         patch, uv = self._arguments(patch, uv)
         n = self.degree
         du, dv = bernstein.partials_matrices(n)
@@ -173,14 +189,14 @@ class BezierTriangles:
                 weights += [b2 @ du1 @ du, b2 @ du1 @ dv, b2 @ dv1 @ dv]
             else:
                 weights += [np.zeros_like(b0)] * 3
-        return [self._combine(self._net, patch, w) for w in weights]
+        return [self._combine(nets, patch, w) for w in weights]
 
     def differential(self, patch: Any, uv: Any) -> Differential:
         """Evaluate the affine point with first and second partials (quotient rule).
 
         Where the point is at infinity the result is not finite.
         """
-        h = self.partials(patch, uv)
+        h = self._partials(self._free_net, patch, uv, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             inv = 1.0 / h[0][:, 3:]
             p = h[0][:, :3] * inv
@@ -202,7 +218,8 @@ class BezierTriangles:
 
     def points(self, patch: Any, uv: Any) -> np.ndarray:
         """Evaluate affine surface points ``(N, 3)``."""
-        h = self.evaluate(patch, uv)
+        patch, uv = self._arguments(patch, uv)
+        h = self._combine(self._free_net, patch, bernstein.basis(self.degree, uv))
         with np.errstate(divide="ignore", invalid="ignore"):
             return h[:, :3] / h[:, 3:]
 
@@ -287,7 +304,7 @@ class BezierTriangles:
             raise NetError.expected(
                 "matrix", "a regular matrix", f"condition {sigma[0]:.3g}/{sigma[-1]:.3g}"
             )
-        return BezierTriangles(self._net @ m.T)
+        return BezierTriangles(self._free_net @ m.T)
 
     def reverse(self) -> BezierTriangles:
         """Return the same surfaces with the other orientation (corners B and C exchanged)."""
@@ -311,7 +328,7 @@ class BezierTriangles:
         They hold the surface, whatever its weights, and are larger by at most a thousandth of
         its size. Sides where a patch reaches infinity are infinite. `hulls` is quicker.
         """
-        return surface_boxes(self._net)
+        return surface_boxes(self._free_net)
 
     def hulls(self) -> np.ndarray:
         """Return the boxes of the control points ``(P, 2, 3)``: lower and upper corner.
@@ -319,7 +336,7 @@ class BezierTriangles:
         They hold the surface where weights have one sign; a control vector opens the box to
         infinity on its side. A net whose weights change sign has the whole space as box.
         """
-        return hull_boxes(self._net)
+        return hull_boxes(self._free_net)
 
     def area(self, tolerance: float = 1e-10) -> np.ndarray:
         """Return the area of each patch ``(P,)``, infinite if it reaches infinity.
@@ -327,7 +344,7 @@ class BezierTriangles:
         Gauss-Legendre on the triangle collapsed to the square, on midpoint splits: each part is
         split until it and its four parts agree to `tolerance` of the patch, at most eight times.
         """
-        return patch_areas(self._net, tolerance)
+        return patch_areas(self._free_net, tolerance)
 
     def tessellate(self, resolution: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh: vertices ``(V, 3)`` and faces ``(F, 3)``.

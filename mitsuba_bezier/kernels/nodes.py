@@ -68,8 +68,10 @@ class Nodes:
     bytes: int
 
 
-def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None) -> Nodes:
-    """Build the trees over boxes ``(L, 2, 3)``, one for each owner from 0 on.
+def build_nodes(
+    boxes: np.ndarray, like: Types, owner: np.ndarray | None = None, owners: int | None = None
+) -> Nodes:
+    """Build the trees over boxes ``(L, 2, 3)``, one for each of `owners`; empty ones have none.
 
     A node has the number of its binary one, whose depth is even: the children of node `k` are
     4 k to 4 k + 3, and those of them that are leaves have no record. A root that is a leaf is child
@@ -80,7 +82,7 @@ def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None)
     owner = np.zeros(len(boxes), dtype=int) if owner is None else owner
     records, slots, firsts, single = [], [], [], []
     first = 0
-    for number in range(int(owner.max(initial=0)) + 1):
+    for number in range(int(owner.max(initial=0)) + 1 if owners is None else owners):
         mine = np.flatnonzero(owner == number)
         tree = build_tree(padded[mine])
         record = _records(tree, unbounded)
@@ -99,8 +101,8 @@ def build_nodes(boxes: np.ndarray, like: Types, owner: np.ndarray | None = None)
         first += len(record)
     all_records, all_slots = np.concatenate(records), np.concatenate(slots)
     # the faces of a child are only known to its parent: the root's, to all
-    low = np.clip(padded[owner == 0, 0].min(axis=0), -_FAR, _FAR)
-    high = np.clip(padded[owner == 0, 1].max(axis=0), -_FAR, _FAR)
+    low = np.clip(padded[owner == 0, 0].min(axis=0, initial=_FAR), -_FAR, _FAR)
+    high = np.clip(padded[owner == 0, 1].max(axis=0, initial=-_FAR), -_FAR, _FAR)
     levels = 1 + int(_level(max(map(len, records)) - 1)) // 2
     return Nodes(
         records=upload(like.Float32, all_records.view(np.float32)),
@@ -123,7 +125,9 @@ def _level(number: Any) -> Any:
 def _records(tree: Tree, unbounded: bool) -> np.ndarray:
     """Return the records ``(K, NODE)`` of the nodes up to the last one, as uint32."""
     inner = tree.inner[_level(tree.inner) % 2 == 0]
-    out = np.zeros((int(inner[-1]) + 1 if len(inner) else 1, NODE), dtype=np.uint32)
+    # without an inner node there is one leaf, which needs none, or a root without children
+    last = int(inner[-1]) if len(inner) else int((tree.leaf == NO_LEAF).all())
+    out = np.zeros((last + 1, NODE), dtype=np.uint32)
     boxes, is_leaf, is_inner = _children(tree, inner)
     infinite = np.abs(boxes) > _FAR
     # the frame is that of the finite faces

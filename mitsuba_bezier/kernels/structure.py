@@ -136,6 +136,7 @@ def build_structure(
     like: Any,
     trims: tuple[TrimTable, np.ndarray] | None = None,
     objects: np.ndarray | None = None,
+    object_count: int | None = None,
 ) -> Structure:
     """Pack `leaves` for the array types of `like` (a Dr.Jit float array or type).
 
@@ -147,6 +148,8 @@ def build_structure(
         The cells of the leaves, -1 for those that need no test.
     objects : (L,) int array, optional
         Which object each leaf belongs to, from 0 on; each gets a tree of its own.
+    object_count : int
+        How many there are, if the last of them may have no leaves.
     """
     ty = types_of(like)
     straight = (leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
@@ -176,7 +179,7 @@ def build_structure(
     owner = None
     if objects is not None:
         owner = np.concatenate([objects[graph], objects[exact[group_first]]])
-    nodes = build_nodes(boxes, ty, owner)
+    nodes = build_nodes(boxes, ty, owner, object_count)
     # polynomial patches have weight one on all leaves, up to rounding of float64
     rational = bool((np.abs(leaves.net[affine, :, 3]) > 1e-12).any())
     components = 4 if rational else 3

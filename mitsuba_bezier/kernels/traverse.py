@@ -108,6 +108,9 @@ def search(
     any_hit: bool,
 ) -> tuple[Any, Any, Any, Any]:
     """Search the tree that begins at `first`; return t, leaf (or `NO_LEAF`), u, v of the leaf."""
+    if not (s.has_graphs or s.has_groups):
+        none = dr.full(ty.UInt, NO_LEAF, dr.width(active))
+        return t_max, none, dr.zeros(ty.Float), dr.zeros(ty.Float)
 
     def body(run, walk, t, leaf, u, v):
         def candidate(walk, run):

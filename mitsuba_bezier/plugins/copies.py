@@ -119,7 +119,7 @@ class CopyTables:
         matrices = np.concatenate([s.copies for s in shapes])
         which = np.repeat(np.arange(len(shapes)), [len(s.copies) for s in shapes])
         boxes = np.concatenate([s.copy_boxes for s in shapes])
-        structure = build_structure(leaves, mi.Float, trims, objects)
+        structure = build_structure(leaves, mi.Float, trims, objects, len(shapes))
         self.kernel = build_copies(structure, boxes, which, matrices, mi.Float)
         rows = np.zeros((len(matrices), 16), dtype=np.float32)
         rows[:, :9] = matrices[:, :3, :3].reshape(-1, 9)

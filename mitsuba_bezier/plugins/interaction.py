@@ -339,7 +339,7 @@ def surface_interaction(
 def _no_interaction(ray: Any) -> Any:
     """Return what Mitsuba takes for a miss."""
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
-    si.t = dr.inf
+    si.t = dr.full(mi.Float, dr.inf, dr.width(ray))  # as wide as hits would be
     si.time, si.wavelengths = ray.time, ray.wavelengths
     si.wi = -ray.d
     return si

@@ -71,8 +71,6 @@ class SceneData:
         table = None
         if any(s.trims is not None for s in shapes):
             cells, cell, keep = trim_cells(Trims.join(trims), leaves.patch, leaves.corners())
-            if not keep.any():  # nothing is left, but a tree needs a leaf: test one
-                keep[0], cell[0] = True, leaves.patch[0]
             self.trim = build_table(cells, mi.Float)
             leaves, table = leaves.select(keep), (self.trim, cell[keep])
         #: The patches that are where they are, and those that have copies; None if there are none.
@@ -120,7 +118,7 @@ class SceneData:
         def cells(mask: np.ndarray) -> Any:
             return None if trims is None else (trims[0], trims[1][mask])
 
-        if here.any():
+        if here.any() or here.all():  # also of nothing at all
             self.structure = build_structure(leaves.select(here), mi.Float, cells(here))
         if not here.all():
             objects = np.searchsorted(copied, shape[~here])

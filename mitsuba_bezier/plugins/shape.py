@@ -12,6 +12,7 @@ import numpy as np
 from .. import _runtime
 from ..errors import BezierError, NetError
 from ..geometry.boxes import surface_boxes
+from ..geometry.proper_nets import free_of_factor, spans_area
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
@@ -25,6 +26,13 @@ from .surface_sampling import direction_sample
 __all__ = ["make_shape_class"]
 
 _INF = np.float32(np.inf)
+#: Powers of two, either way, up to which factors of nets do no harm in float32: what is computed of
+#: them has products of three.
+_MODERATE = 24
+#: Relative rounding of float32, and some more: numbers that lose more have left its range.
+_DIGITS = 2.0**-20
+#: Numbers of a box are at most this: Mitsuba squares its size in float32.
+_FAR = 1e18
 _versions = itertools.count(1)
 
 
@@ -128,7 +136,10 @@ def make_shape_class() -> type:
             if emitter is not None and self.copies is not None:
                 raise BezierError.expected("emitter", "none on a shape with copies", "one")
             self._flip = flip
-            self.control_points = _tensor(patches.control_points)
+            self._need_area(patches)
+            #: What `control_points` holds, in float32.
+            self._exposed = representable(patches.control_points)
+            self.control_points = _tensor(self._exposed)
             self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
             self._object = patches
             #: Texture coordinates at the corners (P, 3, 2), or None.
@@ -160,7 +171,7 @@ def make_shape_class() -> type:
 
         def _commit(self, patches: BezierTriangles, matrix: np.ndarray) -> None:
             """Take over a new valid state."""
-            world = patches.transform(matrix)
+            world = _free(patches).transform(matrix)
             self._object, self._object_to_world, self.patches = patches, matrix, world
             mirrored = np.linalg.det(matrix[:3, :3]) < 0
             #: Sign of the normal along dp_du x dp_dv: a mirror image keeps its outside out.
@@ -177,6 +188,13 @@ def make_shape_class() -> type:
             self.device_arrays: dict[str, dict[str, Any]] = {}
             self._state.updates += 1
             self._set_box(box)
+
+        def _need_area(self, patches: BezierTriangles) -> None:
+            """Refuse nets that are no surface where there is to be an emitter on it."""
+            if self.emitter() is not None and not spans_area(patches.control_points).any():
+                raise NetError.expected(
+                    "control_points", "a surface, for it carries an emitter", "points or curves"
+                )
 
         def _set_box(self, box: np.ndarray) -> None:
             """Give the mesh base class the corners of the box, so that the scene's is right.
@@ -232,10 +250,9 @@ def make_shape_class() -> type:
             values = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
             try:
                 # float64 values from a file or a builder stay, as long as nobody changed them
-                same = values.shape == self._object.control_points.shape and np.array_equal(
-                    values.astype(np.float32), self._object.control_points.astype(np.float32)
-                )
+                same = np.array_equal(values.astype(np.float32), self._exposed)
                 patches = self._object if same else BezierTriangles(values)
+                self._need_area(patches)
                 matrix, count = read_affine(self.to_world), len(patches)
                 if np.array_equal(matrix, self._object_to_world.astype(np.float32)):
                     matrix = self._object_to_world
@@ -258,13 +275,14 @@ def make_shape_class() -> type:
             for name, (values, texture) in self._attributes.items():
                 texture.set(ordinates[name], values.array)
             self.texture_corners = corners
+            self._exposed = self._exposed if same else values.astype(np.float32)
             if not keys or own & set(keys):
                 self._commit(patches, matrix)
 
         def _restore(self) -> None:
             """Give all parameters their last valid values, in the objects that users hold."""
             matrix = mi.Matrix4f(self._object_to_world.tolist())
-            mi.set_property(self.control_points, _tensor(self._object.control_points))
+            mi.set_property(self.control_points, _tensor(self._exposed))
             mi.set_property(self.to_world, mi.Transform4f(matrix))
             if self.texture_corners is not None:
                 mi.set_property(self.texcoords, _tensor(self.texture_corners))
@@ -403,14 +421,37 @@ def make_shape_class() -> type:
 
 
 def finite_bounds(patches: BezierTriangles) -> np.ndarray:
-    """Return one box ``(2, 3)``, of the finite control points where patches run to infinity."""
+    """Return one box ``(2, 3)``, of the finite control points where patches run to infinity.
+
+    Patches that are no surface only count if there are no others.
+    """
+    seen = spans_area(patches.control_points)
+    if seen.any() and not seen.all():
+        patches = patches[seen]
     box = surface_boxes(patches.control_points, together=True)[0]
     if not np.isfinite(box).all():
         net = patches.control_points.reshape(-1, 4)
         net = net[net[:, 3] != 0]
         points = net[:, :3] / net[:, 3:] if len(net) else np.array([[-1.0] * 3, [1.0] * 3])
         box = np.where(np.isfinite(box), box, [points.min(axis=0), points.max(axis=0)])
-    return box
+    return np.clip(box, -_FAR, _FAR)
+
+
+def _free(patches: BezierTriangles) -> BezierTriangles:
+    """Return patches whose nets have no factors that float32 could not bear."""
+    nets = free_of_factor(patches.control_points, _MODERATE)
+    return patches if nets is patches.control_points else BezierTriangles(nets)
+
+
+def representable(nets: np.ndarray) -> np.ndarray:
+    """Return nets in float32, those freed of their factor whose digits would be lost with it."""
+    with np.errstate(over="ignore", under="ignore"):
+        rounded = nets.astype(np.float32)
+        off = np.abs(rounded - nets).max(axis=(1, 2))
+    lost = ~(off <= _DIGITS * np.abs(nets).max(axis=(1, 2)))
+    if lost.any():
+        rounded[lost] = free_of_factor(nets[lost])
+    return rounded
 
 
 def _tensor(values: np.ndarray) -> Any:
