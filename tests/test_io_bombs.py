@@ -159,3 +159,47 @@ def test_limits_of_a_toml_file(tmp_path):
     with pytest.raises(FileFormatError, match="expected a valid TOML file"):
         path.write_bytes("[default]\n".encode("utf-16"))
         Thresholds.load(path)
+
+
+# ---------------------------------------------------------------------------- scenes
+
+
+def scene(body: str) -> str:
+    return f'<scene version="3.0.0">{body}</scene>'
+
+
+def test_deep_scenes_are_refused(tmp_path):
+    """Mitsuba calls itself for each element, until its stack is full: SIGSEGV."""
+    from mitsuba_bezier.cli._scene_xml import check_xml
+
+    path, other = tmp_path / "a.xml", tmp_path / "b.xml"
+    path.write_text(scene('<bsdf type="twosided">' * 190 + "</bsdf>" * 190))
+    check_xml(path, [tmp_path])
+    path.write_text(scene('<bsdf type="twosided">' * 60_000 + "</bsdf>" * 60_000))
+    with pytest.raises(FileFormatError, match=r"at most 200 elements .*a\.xml, line 1"):
+        check_xml(path, [tmp_path])
+    other.write_text(scene('<include filename="b.xml"/><include filename="a.xml"/>'))
+    with pytest.raises(FileFormatError, match=r"more in .*a\.xml, line 1"):
+        check_xml(other, [tmp_path])
+    code = "import sys; from mitsuba_bezier.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "render", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no named pipes here")
+@pytest.mark.parametrize(
+    "body", ['<include filename="{}"/>', '<string name="filename" value="{}"/>']
+)
+def test_pipes_named_by_scenes_are_refused(tmp_path, body):
+    import os
+
+    from mitsuba_bezier.cli._scene_xml import check_xml
+
+    os.mkfifo(tmp_path / "pipe.ply")
+    path = tmp_path / "a.xml"
+    path.write_text(scene(body.format("pipe.ply")))
+    with pytest.raises(FileFormatError, match="which is a named pipe"):
+        check_xml(path, [tmp_path])
+    path.write_text(scene(body.format("nothing.ply")))
+    check_xml(path, [tmp_path])
