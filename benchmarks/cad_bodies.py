@@ -7,6 +7,9 @@ counterbores, rings of bolt holes, balls, cones and tori with bores in several d
 through poles and apexes, and bodies far from the origin. Each is written to a STEP file and read
 from it; the rays go to IntCurvesFace_ShapeIntersector with the body as it was before.
 
+Bodies as NURBS are compared with the same bodies of elementary surfaces, whose grazing rays
+OpenCASCADE does not miss.
+
 A ray is *wrong* if hit and miss differ, or t by more than 1e-4 of the size of the body, unless it
 lies *at an edge*: then OpenCASCADE's own answer changes when the ray is moved by 1e-4 of the size.
 Needs the extra ``[cad]``.
@@ -324,7 +327,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[""], help="parts of names")
     parser.add_argument("--list", action="store_true", help="print the names only")
     args = parser.parse_args()
-    made = {n: f for n, f in bodies().items() if any(text in n for text in args.only)}
+    all_bodies = bodies()
+    made = {n: f for n, f in all_bodies.items() if any(text in n for text in args.only)}
     if args.list:
         print("\n".join(made))
         return
@@ -336,7 +340,9 @@ def main() -> None:
         for name, make in made.items():
             shape = make()
             path = write(shape, Path(folder) / "body.step")
-            r = compare(path, shape, args.rays)
+            # OpenCASCADE misses grazing rays on NURBS surfaces; the body is the same without
+            exact = all_bodies[name.removesuffix(", as NURBS")]()
+            r = compare(path, exact, args.rays)
             total += len(r["wrong"])
             print(
                 f"| {name} | {r['faces']} | {r['refused']} | {r['patches']} | {args.rays} "

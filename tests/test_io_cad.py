@@ -424,9 +424,12 @@ def test_rhino_evaluation(rhino, tmp_path):
             np.testing.assert_allclose(point, [wanted.X, wanted.Y, wanted.Z], atol=1e-12)
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_rhino_faces_trimmed_by_curves(rhino, turned):
-    """A cylinder cut by an oblique plane; rhino3dm cannot make such Breps, so we play one."""
+@pytest.mark.parametrize("turned, beside", [(False, 0), (True, 0), (False, 0.004)])
+def test_rhino_faces_trimmed_by_curves(rhino, turned, beside):
+    """A cylinder cut by an oblique plane; rhino3dm cannot make such Breps, so we play one.
+
+    Edges of real files lie beside their surfaces by more than the files' own tolerance.
+    """
     r, h, a = 1.5, 2.0, 0.7
 
     def conic(height):  # the closed curve z = height + a x / r on the cylinder
@@ -434,7 +437,8 @@ def test_rhino_faces_trimmed_by_curves(rhino, turned):
         for k in range(len(curve.Points)):
             p = curve.Points[k]
             z = height * p.W + (a * p.X / r if height else 0.0)
-            curve.Points[k] = rhino.Point4d(p.X, p.Y, z, p.W)
+            out = 1 + beside / r
+            curve.Points[k] = rhino.Point4d(p.X * out, p.Y * out, z, p.W)
         return curve
 
     def edge(curve):
@@ -453,7 +457,9 @@ def test_rhino_faces_trimmed_by_curves(rhino, turned):
         OrientationIsReversed=turned,
         Loops=[SimpleNamespace(TrimCount=4, Trims=trims)],
     )
-    (part,) = rhino_reader._brep_face(brep, face, True)
+    told: list[float] = []
+    (part,) = rhino_reader._brep_face(brep, face, True, told.append)
+    assert told == [pytest.approx(beside, abs=1e-12)]
     patches, left = BezierTriangles(part[0]), part[1]
     assert patches.degree == 3 and (left.region >= 0).any()
     uv = np.random.default_rng(0).dirichlet([1, 1, 1], 500)[:, :2]

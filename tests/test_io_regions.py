@@ -15,6 +15,7 @@ from mitsuba_bezier.io.curved_triangles import curved_triangle, jacobian_ratio
 from mitsuba_bezier.io.nurbs_surface import PatchGrid
 from mitsuba_bezier.io.plane_regions import chain, region_to_triangles, standard
 from mitsuba_bezier.io.polygons import crossing, signed_area, triangulate
+from mitsuba_bezier.io.pull_back import foot_points, grid_axes, pulled_back
 from mitsuba_bezier.io.trimmed_patches import cut, fit_parabolas, trimmed_patches
 from mitsuba_bezier.io.trims import rectangles, rectilinear
 
@@ -379,10 +380,12 @@ def test_closest_and_pull_back():
         ahead, behind = (surface.jet(uv + s * step * np.eye(2)[axis])[0] for s in (1, -1))
         # 1e-9: the cube of the step's error is below the rounding over the step, 1e-16 / 1e-6
         np.testing.assert_allclose(d, (ahead - behind) / (2 * step), atol=1e-8)
-    for place, point in zip(uv, points):
-        np.testing.assert_allclose(surface.closest(point), place, atol=1e-12)
+    axes = grid_axes(surface)
+    found, off = foot_points(surface, axes, points, uv + 0.04)
+    np.testing.assert_allclose(found, uv, atol=1e-12)
+    assert off.max() < 1e-13
     # the edge v = 1 of the patch is a curve on it
     edge = net[:, 0]
     t = np.linspace(0, 1, 7)
-    back = surface.pulled_back(edge)(t)
+    back = pulled_back(surface, axes, edge)[0](t)
     np.testing.assert_allclose(back, np.column_stack([2 * t, np.ones(7)]), atol=1e-7)

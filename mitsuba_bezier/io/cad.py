@@ -63,6 +63,7 @@ def _occ() -> Any:
             GeomConvert,
             IFSelect,
             IGESControl,
+            Interface,
             Message,
             STEPControl,
             TopAbs,
@@ -82,6 +83,7 @@ def _occ() -> Any:
         convert, convert2d = GeomConvert.GeomConvert, Geom2dConvert.Geom2dConvert
         curve = staticmethod(GeomConvert.GeomConvert.CurveToBSplineCurve_s)
         select, iges, step = IFSelect, IGESControl, STEPControl
+        settings = Interface.Interface_Static
         abs, exp = TopAbs, TopExp
         # the name of static methods changed between 7.9 and 8
         face = staticmethod(getattr(TopoDS.TopoDS, "Face_s", None) or TopoDS.TopoDS.Face)
@@ -117,7 +119,10 @@ def _load_plain(occ: Any, path: Path, plain: Path) -> Any:
             done = occ.tools.BRepTools.Read_s(shape, str(plain), occ.brep.BRep_Builder())
         else:
             control = occ.step.STEPControl_Reader if "st" in suffix else occ.iges.IGESControl_Reader
-            reader = control()
+            reader = control()  # which also defines the settings
+            # 3: curves in space before those in (u, v), if a file has both. With the latter the
+            # reader loses seams of closed B-splines, and makes holes into faces
+            occ.settings.SetIVal_s("read.surfacecurve.mode", 3)
             done = reader.ReadFile(str(plain)) == occ.select.IFSelect_RetDone
             if done:
                 reader.TransferRoots()

@@ -1,8 +1,7 @@
-"""A grid of Bézier patches, as a NURBS surface has: evaluation, restriction, closest points."""
+"""A grid of Bézier patches, as a NURBS surface has: evaluation and restriction."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import comb
 from typing import Any
 
@@ -121,90 +120,3 @@ class PatchGrid:
         du = (hs[:, :3] - point * hs[:, 3:]) / h[:, 3:]
         dv = (ht[:, :3] - point * ht[:, 3:]) / h[:, 3:]
         return point, du, dv
-
-    def closest(self, point: np.ndarray, guess: np.ndarray | None = None) -> np.ndarray:
-        """Return the parameters (u, v) of a point on the surface, by Gauss-Newton.
-
-        Parameters
-        ----------
-        point : (3,) array
-            The point.
-        guess : (2,) array, optional
-            Where to start; by default the nearest of some points of every patch.
-        """
-        if guess is None:
-            t = np.linspace(0, 1, 7)
-            u, v = (
-                np.unique((b[:-1, None] + np.diff(b)[:, None] * t).ravel())
-                for b in (self.u, self.v)
-            )
-            grid = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-            guess = grid[np.argmin(np.linalg.norm(self.jet(grid)[0] - point, axis=1))]
-        uv = np.array(guess, dtype=float)
-        for _ in range(30):
-            p, du, dv = (x[0] for x in self.jet(uv[None]))
-            step = np.linalg.lstsq(np.stack([du, dv], axis=1), point - p, rcond=1e-10)[0]
-            new = np.clip(uv + step, self.domain[:, 0], self.domain[:, 1])
-            moved = np.abs(new - uv).max()
-            uv = new
-            if moved <= 1e-14 * (np.abs(uv).max() + 1):
-                break
-        return uv
-
-    def refine(self, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
-        """Return the parameters ``(N, 2)`` of points ``(N, 3)`` on the surface near a guess.
-
-        Gauss-Newton for all at once; where the parameter lines are parallel, as at a pole, along
-        one of them only.
-        """
-        uv = np.clip(guess, self.domain[:, 0], self.domain[:, 1])
-        for _ in range(30):
-            p, du, dv = self.jet(uv)
-            r = points - p
-            a, b, c = (np.einsum("ni,ni->n", x, y) for x, y in ((du, du), (du, dv), (dv, dv)))
-            ru, rv = np.einsum("ni,ni->n", du, r), np.einsum("ni,ni->n", dv, r)
-            det = a * c - b * b
-            regular = det > 1e-16 * np.maximum(a, c) ** 2
-            safe = np.where(regular, det, 1.0)
-            only_u = ~regular & (a >= c)
-            step = np.stack(
-                [
-                    np.where(
-                        regular, (c * ru - b * rv) / safe, only_u * ru / np.maximum(a, 1e-300)
-                    ),
-                    np.where(
-                        regular,
-                        (a * rv - b * ru) / safe,
-                        (~regular & ~only_u) * rv / np.maximum(c, 1e-300),
-                    ),
-                ],
-                axis=1,
-            )
-            new = np.clip(uv + step, self.domain[:, 0], self.domain[:, 1])
-            moved = np.abs(new - uv).max(initial=0.0)
-            uv = new
-            if moved <= 1e-14 * (np.abs(uv).max(initial=0.0) + 1):
-                break
-        return uv
-
-    def pulled_back(self, curve: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the map from parameters ``(N,)`` of a space curve on the surface to ``(N, 2)``.
-
-        The search goes outwards from the middle of the curve, where the parameters are not
-        ambiguous as they are on a seam; points between are found from their neighbours.
-        """
-        places = np.linspace(0, 1, 33)
-        points = bezier_points(curve, places)
-        table = np.empty((len(places), 2))
-        middle = len(places) // 2
-        table[middle] = self.closest(points[middle])
-        for k in range(middle + 1, len(places)):
-            table[k] = self.closest(points[k], table[k - 1])
-        for k in range(middle - 1, -1, -1):
-            table[k] = self.closest(points[k], table[k + 1])
-
-        def place(t: np.ndarray) -> np.ndarray:
-            guess = np.stack([np.interp(t, places, table[:, axis]) for axis in range(2)], axis=1)
-            return self.refine(bezier_points(curve, t), guess)
-
-        return place

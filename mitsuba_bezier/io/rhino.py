@@ -1,12 +1,16 @@
 """Rhino's ``.3dm`` files through rhino3dm (the extra ``[rhino]``).
 
 Surfaces, faces of polysurfaces (Breps), extrusions and block instances are read. rhino3dm does
-not tell the trimming curves in (u, v), so the edges in space are pulled back to the surface;
-plane faces take them as they are.
+not tell the trimming curves in (u, v), so the edges in space are pulled back to the surface
+(`pull_back`); plane faces take them as they are. Edges further from a surface than the file's own
+tolerance are told.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -15,19 +19,24 @@ import numpy as np
 from ..errors import BezierError, FileFormatError
 from ..geometry import bernstein
 from ..geometry.trims import Trims
+from .closed_surfaces import BoundaryEdge, leaves_period, unrolled
 from .files import damaged, read_bytes
 from .isolated import read_isolated
 from .nurbs import curve_to_bezier
-from .nurbs_surface import PatchGrid, bezier_points
+from .nurbs_surface import PatchGrid
 from .plane_regions import chain, join_ends, region_to_triangles, standard
+from .pull_back import grid_axes, pulled_back
 from .report import Collector, Model
 from .tensor_nets import tensor_nets
 from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimmed_patches
-from .trims import rectilinear
+from .trims import rectangles, rectilinear
 
 __all__ = ["import_library", "read", "read_here"]
 
 _MAX_DEPTH = 8  # blocks within blocks
+#: An edge is refused further than that from its surface, in units of the surface's size. Files
+#: have edges at a hundred times their own tolerance, where a fillet meets another.
+_FAR = 1e-2
 
 
 def import_library() -> Any:
@@ -57,6 +66,8 @@ class _Reader:
         self.objects = {str(o.Attributes.Id): o for o in file.Objects}
         self.blocks = {str(d.Id): d for d in file.InstanceDefinitions}
         self.others: dict[str, int] = {}
+        self.tolerance = float(file.Settings.ModelAbsoluteTolerance)
+        self.off: list[float] = []  # how far edges of faces are from them
 
     def geometry(self, item: Any, name: str, matrix: np.ndarray, depth: int = 0) -> None:
         """Convert an object, moved by a 4x4 matrix."""
@@ -77,7 +88,8 @@ class _Reader:
         if kind == "Brep":
             for number in range(len(item.Faces)):
                 face = item.Faces[number]
-                self.add(f"{name} face {number}", matrix, _brep_face, item, face, self.trims)
+                convert = partial(_brep_face, told=self.off.append)
+                self.add(f"{name} face {number}", matrix, convert, item, face, self.trims)
         elif kind in ("NurbsSurface", "RevSurface", "PlaneSurface", "Surface", "SumSurface"):
             self.add(name, matrix, _whole_surface, item)
         elif kind in ("Mesh", "SubD"):
@@ -90,6 +102,9 @@ class _Reader:
             parts: list[_Part] | str = convert(*arguments)
         except BezierError as error:
             parts = str(error)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            # a face like no other must not cost the rest
+            parts = f"failed with {type(error).__name__}: {str(error)[:80]}"
         if isinstance(parts, str):
             self.collector.report.refuse(name, parts)
             return
@@ -142,6 +157,12 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
             reader.geometry(item.Geometry, f"object {number}", np.eye(4))
     for kind, count in reader.others.items():
         reader.collector.report.remarks.append(f"{count} objects of type {kind}, no surfaces")
+    far = [off for off in reader.off if off > reader.tolerance > 0]
+    if far:
+        reader.collector.report.notes.append(
+            f"{len(far)} faces have edges up to {max(far):.2g} from their surface, by the file's "
+            f"own tolerance {reader.tolerance:.2g}; their boundaries are the nearest points"
+        )
     return reader.collector.model(lambda: damaged(path, "surfaces", "none that can be converted"))
 
 
@@ -178,19 +199,24 @@ def _edge(edge: Any) -> np.ndarray:
     return curve_to_bezier(net, _knots(curve.Knots), curve.Order - 1)
 
 
-def _brep_face(brep: Any, face: Any, trims: bool) -> list[_Part] | str:
+def _brep_face(
+    brep: Any, face: Any, trims: bool, told: Callable[[float], None] | None = None
+) -> list[_Part] | str:
+    """Convert a face; `told` is given how far its edges are from its surface."""
     surface = _nurbs(face.UnderlyingSurface())
     turned = face.OrientationIsReversed
-    loops: list[list[tuple[np.ndarray, int]]] = []
-    for loop in face.Loops:
+    loops: list[list[tuple[np.ndarray, bool]]] = []
+    all_trims = [[loop.Trims[k] for k in range(loop.TrimCount)] for loop in face.Loops]
+    uses = Counter(trim.EdgeIndex for loop in all_trims for trim in loop)
+    for loop in all_trims:
         edges = []
-        for trim in (loop.Trims[k] for k in range(loop.TrimCount)):
+        for trim in loop:
             if trim.EdgeIndex < 0:
                 continue  # a pole: no length in space
             pieces = list(_edge(brep.Edges[trim.EdgeIndex]))
             if trim.IsReversed:
                 pieces = [piece[::-1] for piece in pieces[::-1]]
-            edges += [(piece, trim.EdgeIndex) for piece in pieces]
+            edges += [(piece, uses[trim.EdgeIndex] > 1) for piece in pieces]
         loops.append(edges)
     if (surface.patches[..., 3] <= 0).any():
         return "a surface with weights that are not positive"
@@ -201,15 +227,25 @@ def _brep_face(brep: Any, face: Any, trims: bool) -> list[_Part] | str:
     if isinstance(nets, str):
         extent = surface.domain[:, 1] - surface.domain[:, 0]
         # trims cost little: they follow the edge a hundred times closer
-        boundary = _boundary(surface, loops, 1e-7 if trims else 1e-5)
-        if isinstance(boundary, str):
-            return boundary
-        curved = rectilinear([[c[:, :2] / c[:, 2:] for c in boundary]], 1e-7 * extent) is None
-        closed = closed_boundary(boundary, surface.domain) if trims and curved else "no trims"
-        if not isinstance(closed, str):
-            part = trimmed_grid(surface, closed, turned=turned)
-            return part if isinstance(part, str) else [part]
-        nets = trimmed_patches(surface, boundary)
+        found = _boundary(surface, loops, 1e-7 if trims else 1e-5)
+        if isinstance(found, str):
+            return found
+        boundary, off = found
+        if told is not None:
+            told(off)
+        tolerance = 1e-7 * extent
+        straight = rectilinear([[c[:, :2] / c[:, 2:] for c in boundary]], tolerance)
+        if straight is not None:
+            boxes = rectangles(straight, tolerance)
+            if isinstance(boxes, str):
+                return boxes
+            nets = [tensor_nets(surface.rectangle(box)) for box in boxes]
+        else:
+            closed = closed_boundary(boundary, surface.domain) if trims else "no trims"
+            if not isinstance(closed, str):
+                part = trimmed_grid(surface, closed, turned=turned)
+                return part if isinstance(part, str) else [part]
+            nets = trimmed_patches(surface, boundary)
     if isinstance(nets, str):
         return nets
     if turned:
@@ -238,10 +274,10 @@ def _plane_frame(surface: PatchGrid) -> np.ndarray | None:
 
 
 def _plane_face(
-    frame: np.ndarray, loops: list[list[tuple[np.ndarray, int]]]
+    frame: np.ndarray, loops: list[list[tuple[np.ndarray, bool]]]
 ) -> list[np.ndarray] | str:
     flat = []
-    for piece, _edge_number in (item for loop in loops for item in loop):
+    for piece, _seam in (item for loop in loops for item in loop):
         local = piece[:, :3] - piece[:, 3:] * frame[2, :3]
         flat.append(np.column_stack([local @ frame[:2, :3].T, piece[:, 3]]))
     if any((c[:, 2] <= 0).any() for c in flat):
@@ -255,46 +291,58 @@ def _plane_face(
 
 
 def _boundary(
-    surface: PatchGrid, loops: list[list[tuple[np.ndarray, int]]], accuracy: float
-) -> list[np.ndarray] | str:
-    """Pull the edges back to (u, v); return them as parabolas, or why they cannot be."""
+    surface: PatchGrid, loops: list[list[tuple[np.ndarray, bool]]], accuracy: float
+) -> tuple[list[np.ndarray], float] | str:
+    """Pull the edges back to (u, v).
+
+    Returns
+    -------
+    boundary : list of (n+1, 3) arrays
+        Parabolas and straight pieces.
+    off : float
+        How far the edges are from the surface, at most.
+    str
+        In place of both, the reason why there are none.
+    """
     extent = surface.domain[:, 1] - surface.domain[:, 0]
     _p, du, dv = surface.jet((surface.domain @ [0.63, 0.37])[None])
     scale = np.array([np.linalg.norm(du), np.linalg.norm(dv)])
-    count = [number for loop in loops for _piece, number in loop]
-    seen: dict[tuple[int, bytes], int] = {}
-    boundary: list[np.ndarray] = []
+    axes = grid_axes(surface)
+    edges: list[list[BoundaryEdge]] = []
+    worst = 0.0
     for loop in loops:
-        curves: list[np.ndarray] = []
-        for piece, number in loop:
-            t = np.linspace(0, 1, 9)
-            place = surface.pulled_back(piece)
-            uv = place(t)
-            off = np.linalg.norm(surface.jet(uv)[0] - bezier_points(piece, t), axis=1).max()
-            if off > 1e-4 * surface.size:
+        edges.append([])
+        for piece, seam in loop:
+            place, off = pulled_back(surface, axes, piece)
+            worst = max(worst, off)
+            if off > _FAR * surface.size:
                 return "an edge that does not lie on its surface"
+            uv = place(np.linspace(0, 1, 9))
             spread = np.ptp(uv, axis=0) / extent
             if spread.min() <= 1e-7:  # along a parameter line
                 axis = int(np.argmin(spread))
                 line = uv[[0, -1]]
                 line[:, axis] = uv[:, axis].mean()
-                if count.count(number) > 1:  # a seam: the second time, it is the other side
-                    low, high = surface.domain[axis]
-                    key = (number, np.sort(piece[[0, -1]], axis=0).round(9).tobytes())
-                    seen[key] = seen.get(key, 0) + 1
-                    previous = curves[-1][-1, axis] if curves else low
-                    first = abs(previous - low) <= abs(previous - high)
-                    if seen[key] == 1:
-                        line[:, axis] = low if first else high
-                        seen[(number, b"side")] = int(first)
-                    else:
-                        line[:, axis] = high if seen[(number, b"side")] else low
-                curves.append(np.column_stack([line, np.ones(2)]))
-                continue
-
-            fitted = fit_parabolas(place, scale, accuracy * surface.size)
-            if fitted is None:
-                return "trimmed by a curve that parabolas cannot follow"
-            curves += fitted
-        boundary += join_ends([standard(c) for c in curves], 1e-7 * float(extent.max()))
-    return [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()]
+                curves = [np.column_stack([line, np.ones(2)])]
+            else:
+                fitted = fit_parabolas(place, scale, accuracy * surface.size)
+                if fitted is None:
+                    return "trimmed by a curve that parabolas cannot follow"
+                curves = fitted
+            edges[-1].append(BoundaryEdge(np.stack(curves), seam))
+    flat = [edge for part in edges for edge in part]
+    points = np.concatenate([c[:, :2] / c[:, 2:] for edge in flat for c in edge.curves])
+    low, high = surface.domain.T
+    outside = (points < low - 1e-7 * extent) | (points > high + 1e-7 * extent)
+    if leaves_period(flat, axes) or (outside.any(axis=0) & (axes.period > 0)).any():
+        chains = unrolled(flat, axes)
+        if isinstance(chains, str):
+            return chains
+        boundary = [c for chain in chains for c in chain]
+    else:
+        boundary = []
+        for part in edges:
+            # an edge that occurs twice on an open surface is a slit: it bounds nothing
+            curves = [standard(c) for edge in part if not edge.seam for c in edge.curves]
+            boundary += join_ends(curves, 1e-7 * float(extent.max()))
+    return [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()], worst

@@ -267,6 +267,12 @@ def trimmed_patches(grid: PatchGrid, curves: list[np.ndarray]) -> list[np.ndarra
             boxes = rectangles(edges, tolerance)
             if not isinstance(boxes, str):
                 cell = PatchGrid(grid.patches[i : i + 1, j : j + 1], *domain)
+                # a strip beside the cell, thinner than the tolerance, is none
+                low, high = (
+                    np.maximum(boxes[:, :, 0], domain[:, 0]),
+                    np.minimum(boxes[:, :, 1], domain[:, 1]),
+                )
+                boxes = boxes[(high - low > tolerance).all(axis=1)]
                 out += [tensor_nets(cell.rectangle(box)) for box in boxes]
             continue
         found = _cell_triangles(boundary, domain)
