@@ -5,7 +5,12 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -118,3 +123,21 @@ def test_what_is_too_rough_is_seen(stand_in):
     assert 1e-8 < result["values"] < 2e-6  # 20 bits
     (lines,) = rough_code(folder).values()
     assert len(lines) == 1
+
+
+@needs_stand_in
+def test_the_benchmark_of_registers_says_what_is_missing(tmp_path):
+    if importlib.util.find_spec("nvidia") is not None:
+        pytest.skip("NVIDIA's wheels are here")
+    gcc = shutil.which("gcc")
+    assert gcc is not None
+    (tmp_path / "gcc").symlink_to(gcc)
+    run = subprocess.run(
+        [sys.executable, Path(__file__).parents[1] / "benchmarks" / "ptxas.py"],
+        env={**os.environ, "PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 2 and not run.stdout
+    assert len(run.stderr.splitlines()) == 1
+    assert "nvidia-cuda-nvcc-cu12" in run.stderr and "mitsuba-bezier[ptxas]" in run.stderr
