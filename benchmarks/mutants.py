@@ -195,13 +195,6 @@ MUTANTS = (
         ("test_leaf_bounds.py", "test_leaves_tree.py::test_bounds_hold_on_dense_samples"),
     ),
     Mutant(
-        "culling has no rounding",
-        "geometry/graph_leaves.py",
-        "form[rows, 3] = bounds.remainder + bends * rounding",
-        "form[rows, 3] = bounds.remainder + 0 * bends * rounding",
-        ("test_leaf_bounds.py::test_what_culling_in_float32_may_be_off",),
-    ),
-    Mutant(
         "boxes are not padded",
         "kernels/nodes.py",
         "pad = 4e-7 * np.abs(finite)",
