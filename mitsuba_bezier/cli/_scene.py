@@ -19,6 +19,7 @@ from .._files import is_utf8
 from .._runtime import import_mitsuba
 from ..errors import FileFormatError
 from . import _plugins
+from ._scene_xml import check_xml
 
 __all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "check_name", "load", "scene_files"]
 
@@ -86,6 +87,7 @@ def load(
     mi = import_mitsuba()
     path = Path(path)
     check_name(path)
+    check_xml(path, [path.resolve().parent, *map(Path, search_paths), Path()])
     config = _loading.parser_config(mi, variant)
     with _loading.relative_to(mi, path, search_paths):
         _plugins.load_own(mi)
