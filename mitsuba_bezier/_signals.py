@@ -37,7 +37,8 @@ def begin_if_command() -> None:
     name = os.path.basename(sys.argv[0]) if sys.argv else ""
     program = name.removesuffix(".exe").removesuffix("-script.py") == "mitsuba-bezier"
     # as long as Python looks for the module, "-m" stands there
-    if program or (name == "-m" and "mitsuba_bezier.cli.main" in sys.orig_argv):
+    module = any(word.endswith("mitsuba_bezier.cli.main") for word in sys.orig_argv)
+    if program or (name == "-m" and module):
         begin()
 
 
@@ -48,16 +49,17 @@ def begin() -> None:
         return
     _begun = True
     _open_streams()
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    # the number of a signal is written here at once, whatever the main thread is doing
-    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     for name in _WORDS:
         number = getattr(signal, name, None)
         # nohup lets its program live on
         if number and not (name == "SIGHUP" and signal.getsignal(number) == signal.SIG_IGN):
             signal.signal(number, lambda number, _frame: end(number))
-    threading.Thread(target=_watch, args=(reading,), daemon=True).start()
+    if os.name != "nt":
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        # the number of a signal is written here at once, whatever the main thread is doing
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        threading.Thread(target=_watch, args=(reading,), daemon=True).start()
 
 
 @contextmanager

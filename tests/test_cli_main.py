@@ -119,3 +119,16 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys, error):
     assert run("doctor") == 2
     err = capsys.readouterr().err
     assert err == "mitsuba-bezier: error: this takes more memory than there is\n"
+
+
+def test_a_library_that_is_missing_is_one_line(monkeypatch, capsys):
+    def fail(_args):
+        raise error
+
+    monkeypatch.setattr(import_module("mitsuba_bezier.cli.doctor"), "run", fail)
+    error = ImportError("OpenEXR.so: failed to map segment from shared object", name="OpenEXR")
+    assert run("doctor") == 2
+    assert capsys.readouterr().err == f"mitsuba-bezier: error: {error}\n"
+    error = ImportError("no such name", name="mitsuba_bezier.io")
+    with pytest.raises(ImportError):
+        run("doctor")

@@ -141,6 +141,20 @@ def test_a_full_disk_is_told_before_the_render(folder, monkeypatch, capsys):
         assert f"bytes of free space, got {free} in ." in capsys.readouterr().err
 
 
+@posix
+def test_a_film_larger_than_the_memory_is_told_before_the_render(folder, monkeypatch, capsys):
+    def too_late(*_args):
+        raise AssertionError("rendering began")
+
+    monkeypatch.setattr(_passes, "render", too_late)
+    real = os.sysconf
+    small = {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 10}  # less than 64 bytes for 32 x 24 pixels
+    monkeypatch.setattr(os, "sysconf", lambda name: small.get(name) or real(name))
+    assert run("render", "ball.xml", "-q", "--spp", "1") == 2
+    err = capsys.readouterr().err
+    assert "film: expected a size whose 64 bytes a pixel fit the memory, 0 MiB, got 32 x 24" in err
+
+
 def test_the_scene_of_a_render_is_told_by_its_contents(folder):
     def digest(*words):
         assert run("render", "ball.xml", "-q", "--spp", "1", *words) == 0

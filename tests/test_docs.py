@@ -13,6 +13,7 @@ PAGES = (
     "inverse.md",
     "lecture.md",
     "media.md",
+    "reliability.md",
     "security.md",
     "verification.md",
 )
@@ -22,6 +23,7 @@ BLOCKS = {
     "inverse.md": 1,
     "lecture.md": 5,
     "media.md": 1,
+    "reliability.md": 0,
     "security.md": 0,
     "verification.md": 0,
 }

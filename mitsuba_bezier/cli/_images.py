@@ -10,10 +10,13 @@ import numpy as np
 
 from .._files import check_target, is_utf8
 from .._runtime import import_mitsuba
-from ..errors import FileFormatError
+from ..errors import BezierError, FileFormatError
 from ..verification import png
 
-__all__ = ["channels_of", "check_output", "encode_preview"]
+__all__ = ["channels_of", "check_memory", "check_output", "encode_preview"]
+
+#: Memory of a pixel, at the least: Mitsuba's film and its bitmap in float32, exact sums in float64.
+BYTES_PER_PIXEL = 64
 
 
 def check_output(path: str | Path, parameter: str = "--output", preview: bool = True) -> Path:
@@ -41,6 +44,32 @@ def check_output(path: str | Path, parameter: str = "--output", preview: bool = 
     for file in (path, path.with_suffix(".png")) if preview else (path,):
         check_target(file, parameter)
     return path
+
+
+def check_memory(width: int, height: int) -> None:
+    """Make sure that a film has a chance to fit the memory; libraries crash where it does not.
+
+    Raises
+    ------
+    BezierError
+        If it is larger than the memory of this machine, or than this process may have.
+    """
+    limits = []
+    try:
+        import resource
+
+        soft, _hard = resource.getrlimit(resource.RLIMIT_AS)
+        limits = [] if soft == resource.RLIM_INFINITY else [soft]
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (ImportError, AttributeError, ValueError, OSError):
+        pass  # not every system tells
+    needed = BYTES_PER_PIXEL * width * height
+    if any(needed > limit for limit in limits):
+        raise BezierError.expected(
+            "film",
+            f"a size whose {BYTES_PER_PIXEL} bytes a pixel fit the memory, {min(limits) >> 20} MiB",
+            f"{width} x {height}",
+        )
 
 
 def channels_of(bitmap: Any, half: bool) -> dict[str, np.ndarray]:

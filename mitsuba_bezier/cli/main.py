@@ -98,17 +98,25 @@ def _run(words: list[str]) -> int:
     except KeyboardInterrupt:
         print(f"{PROGRAM}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
-    except (BezierError, OSError, MemoryError, RuntimeError) as error:
-        # a RuntimeError of Dr.Jit; all others are mistakes of ours, which are not dressed up
-        if args.debug or (isinstance(error, RuntimeError) and "out of memory" not in str(error)):
+    except (BezierError, OSError, MemoryError, RuntimeError, ImportError) as error:
+        if args.debug or not _is_users(error):
             raise
         return _tell(error)
+
+
+def _is_users(error: Exception) -> bool:
+    """Tell whether an error is to be told in a line: mistakes of ours are not dressed up."""
+    if isinstance(error, RuntimeError):
+        return "out of memory" in str(error)  # of Dr.Jit
+    if isinstance(error, ImportError):  # a library that is not there, or finds no memory
+        return not (error.name or "").startswith("mitsuba_bezier")
+    return True
 
 
 def _tell(error: Exception) -> int:
     """Tell an error in one line and return the exit code."""
     text = " ".join(str(error).split())
-    if not isinstance(error, (BezierError, OSError)):
+    if isinstance(error, (MemoryError, RuntimeError)):
         text = "this takes more memory than there is"
     print(f"{PROGRAM}: error: {_streams.printable(text)}", file=sys.stderr)
     return EXIT_ERROR

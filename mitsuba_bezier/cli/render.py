@@ -193,6 +193,7 @@ def run(args: argparse.Namespace) -> int:
 
     half = "component_format = float16" in str(film)
     width, height = film.crop_size()
+    _images.check_memory(int(width), int(height))
     # ZIP halves a picture, roughly; no render has been seen to become an eighth
     check_target(output, "--output", int(width) * int(height) * 3 * (2 if half else 4) // 8)
 
