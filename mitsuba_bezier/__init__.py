@@ -14,6 +14,7 @@ from . import _signals  # noqa: E402
 
 _signals.begin_if_command()  # what follows takes a second, in which one can press Ctrl-C
 
+from importlib import import_module  # noqa: E402
 from typing import Any  # noqa: E402
 
 from . import _runtime  # noqa: E402
@@ -84,6 +85,7 @@ __all__ = [
     "hyperboloid_one_sheet",
     "hyperboloid_two_sheets",
     "load",
+    "native",
     "plane",
     "projective_type",
     "quadric_cover",
@@ -93,6 +95,7 @@ __all__ = [
     "ray_test",
     "register",
     "ruled_cover",
+    "shape",
     "sphere",
     "tensor_to_triangles",
     "torus",
@@ -114,12 +117,19 @@ def register() -> None:
     register_plugins()
 
 
-def __getattr__(name: str) -> Any:
-    if name in ("ray_intersect", "ray_test"):
-        register()
-        from .plugins import scene
+#: Names that need Mitsuba, and where they are.
+_WITH_MITSUBA = {
+    "native": "scene_methods",
+    "ray_intersect": "scene",
+    "ray_test": "scene",
+    "shape": "dictionaries",
+}
 
-        return getattr(scene, name)
+
+def __getattr__(name: str) -> Any:
+    if name in _WITH_MITSUBA:
+        register()
+        return getattr(import_module(f".plugins.{_WITH_MITSUBA[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -19,10 +19,6 @@ __all__ = ["check", "load_own"]
 
 _SUFFIXES = (".so", ".dylib", ".dll")
 
-#: Registered from Python, so never looked for in a file.
-_REGISTERED: tuple[str, ...] = ("beziertriangle", "bezieraov", "bezierpath", "beziervolpath")
-_REGISTERED += ("bezier_prb_projective", "bezier_direct_projective")
-
 
 def load_own(mi: Any) -> None:
     """Load all plugins of Mitsuba's own folder, in some 50 ms; a variant must be set."""
@@ -57,7 +53,9 @@ def check(mi: Any, names: Iterable[str], scene: Path) -> None:
     FileFormatError
         If a name is a path, or there is a library of that name.
     """
-    own = _own(_root(mi)) | set(_REGISTERED)
+    from ..plugins import PLUGINS  # registered from Python, so never looked for in a file
+
+    own = _own(_root(mi)) | set(PLUGINS)
     resolver = mi.file_resolver()
     folders = [*(str(resolver[k]) for k in range(len(resolver))), os.getcwd()]
     for name in sorted(set(names) - own):

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+from functools import partial
+from importlib import import_module
 from typing import Any
 
 import mitsuba as mi
 
 from .. import _runtime
 
-__all__ = ["register"]
+__all__ = ["PLUGINS", "register"]
 
 _classes: dict[tuple[str, str], type] = {}
 
-
-def _maker(name: str) -> Any:
-    from .bezieraov import make_aov_class
-    from .bezierpath import make_path_class
-    from .beziervolpath import make_volpath_class
-    from .projective import make_direct_projective_class, make_prb_projective_class
-    from .shape import make_shape_class
-
-    return {
-        "beziertriangle": make_shape_class,
-        "bezieraov": make_aov_class,
-        "bezierpath": make_path_class,
-        "bezier_direct_projective": make_direct_projective_class,
-        "bezier_prb_projective": make_prb_projective_class,
-        "beziervolpath": make_volpath_class,
-    }[name]
+#: Our plugins: their kind, and the module and function that make their classes.
+PLUGINS = {
+    "beziertriangle": ("shape", "shape.make_shape_class"),
+    "bezieraov": ("integrator", "bezieraov.make_aov_class"),
+    "bezierpath": ("integrator", "bezierpath.make_path_class"),
+    "bezierdepth": ("integrator", "direct.make_depth_class"),
+    "bezierdirect": ("integrator", "direct.make_direct_class"),
+    "beziermoment": ("integrator", "nested.make_moment_class"),
+    "bezierptracer": ("integrator", "ptracer.make_ptracer_class"),
+    "bezierstokes": ("integrator", "nested.make_stokes_class"),
+    "beziervolpath": ("integrator", "beziervolpath.make_volpath_class"),
+    "bezier_direct_projective": ("integrator", "projective.make_direct_projective_class"),
+    "bezier_prb_projective": ("integrator", "projective.make_prb_projective_class"),
+}
 
 
 def _instantiate(name: str, props: Any) -> Any:
@@ -37,7 +37,13 @@ def _instantiate(name: str, props: Any) -> Any:
 
     key = (name, mi.variant())
     if key not in _classes:
-        _classes[key] = _maker(name)()
+        kind, path = PLUGINS[name]
+        module, function = path.split(".")
+        _classes[key] = getattr(import_module(f".{module}", __name__), function)()
+        if kind == "shape":  # from now on there may be a scene with something to see
+            import_module(".scene_methods", __name__).install()
+            import_module(".counterparts", __name__).install()
+            import_module(".sensors", __name__).install()
     check_known(name, props)
     plugin = _classes[key](props)
     check_read(name, props)
@@ -51,16 +57,13 @@ def _on_variant(_old: str | None, new: str | None) -> None:
     _classes.clear()  # Mitsuba remakes its Python base classes, so ours are remade too
     if new is None:
         return
-    mi.register_shape("beziertriangle", lambda props: _instantiate("beziertriangle", props))
-    mi.register_integrator("bezieraov", lambda props: _instantiate("bezieraov", props))
-    mi.register_integrator("bezierpath", lambda props: _instantiate("bezierpath", props))
-    mi.register_integrator("beziervolpath", lambda props: _instantiate("beziervolpath", props))
-    mi.register_integrator(
-        "bezier_prb_projective", lambda props: _instantiate("bezier_prb_projective", props)
-    )
-    mi.register_integrator(
-        "bezier_direct_projective", lambda props: _instantiate("bezier_direct_projective", props)
-    )
+    import_module(".dictionaries", __name__).install()
+    for name, (kind, _path) in PLUGINS.items():
+        getattr(mi, f"register_{kind}")(name, partial(_instantiate, name))
+    if not new.startswith("scalar"):
+        import_module(".counterparts", __name__).register()
+        import_module(".sensors", __name__).register()
+        import_module(".groups", __name__).register()
 
 
 _registered = False

@@ -13,6 +13,7 @@ import mitsuba as mi
 from .. import _runtime
 from ..errors import BezierError
 from .boundary import boundary_test
+from .nested import nested_integrators, sample_nested
 from .scene import SceneRays
 
 __all__ = ["KINDS", "make_aov_class"]
@@ -150,16 +151,7 @@ def make_aov_class() -> type:
             if "aovs" not in props:
                 raise BezierError.expected("aovs", 'a list "<name>:<type>, ..."', "nothing")
             self._wanted = _parse(props["aovs"])
-            self._nested: list[tuple[str, Any]] = []
-            for key in props.keys():  # noqa: SIM118 (Properties is no dict)
-                value = props[key] if props.type(key) == mi.Properties.Type.Object else None
-                if value is None:
-                    continue
-                if not isinstance(value, mi.SamplingIntegrator):
-                    raise BezierError.expected(
-                        key, "an integrator that samples rays of the sensor", repr(value)
-                    )
-                self._nested.append((key, value))
+            self._nested = nested_integrators(props)
             for key in ("max_depth", "rr_depth"):  # what the base class would take
                 if key in props:
                     raise BezierError.expected(
@@ -198,7 +190,7 @@ def make_aov_class() -> type:
             L, valid = mi.Spectrum(0.0), mi.Bool(False)
             for index, (_name, nested) in enumerate(self._nested):
                 with dr.suspend_grad():
-                    value, seen, own = _sample(nested, scene, sampler, ray, active)
+                    value, seen, own = sample_nested(nested, scene, sampler, ray, active)
                 colour = _colour(value, ray)
                 images += [*_xyz(colour), dr.select(seen, mi.Float(1.0), 0.0)]
                 others += own
@@ -320,22 +312,3 @@ def _put(image: Any, channels: list[int], values: Any) -> None:
     for k, channel in enumerate(channels):
         value = dr.gather(mi.Float, values.array, pixel * values.shape[2] + k)
         dr.scatter(image.array, value, pixel * image.shape[2] + channel)
-
-
-def _sample(nested: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple:
-    """Sample a nested integrator; return radiance, validity and its own channels."""
-    if isinstance(nested, mi.CppADIntegrator):  # written in Python, with another signature
-        value, valid, own, _state = nested.sample(
-            mode=dr.ADMode.Primal,
-            scene=scene,
-            sampler=sampler,
-            ray=ray,
-            depth=mi.UInt32(0),
-            δL=None,
-            δaovs=None,
-            state_in=None,
-            active=active,
-        )
-    else:
-        value, valid, own = nested.sample(scene, sampler, ray, None, active)
-    return value, valid, list(own)

@@ -10,6 +10,7 @@ import mitsuba as mi
 from ..errors import BezierError
 from .emitters import EmitterSampling
 from .interaction import Preliminary
+from .originals import original
 from .path_tracing import mis_weight, skip_emitters
 from .scene import SceneRays
 
@@ -262,7 +263,7 @@ def _attached_emitter(
     near = here.spawn_ray_to(ds.p)
     near.o = dr.fma(near.d, near.maxt, near.o)
     near.maxt = dr.largest(mi.Float)
-    met = scene.ray_intersect(near, varying)
+    met = original(scene, "ray_intersect")(near, varying)
     moved = mi.DirectionSample3f(scene, met, here)
     moved.d = direction
     attached = dr.replace_grad(ds, dr.select(varying & met.is_valid(), moved, ds))

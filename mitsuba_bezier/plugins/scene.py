@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from .. import _runtime
 from .interaction import Preliminary
+from .originals import original
 from .scene_data import SceneData, data_for_scene
 
 __all__ = ["SceneRays", "ray_intersect", "ray_test"]
@@ -37,7 +38,7 @@ class SceneRays:
         """Return the nearest hit."""
         if self.data is not None and not self.data.scene_has_others:
             return self.data.preliminary(ray, active, None, coherent)
-        pi = self.scene.ray_intersect_preliminary(
+        pi = original(self.scene, "ray_intersect_preliminary")(
             ray, coherent=coherent, reorder=False, active=active
         )
         if self.data is None:
@@ -50,11 +51,12 @@ class SceneRays:
         """Return the full interaction."""
         flags = mi.RayFlags.All if flags is None else flags
         if self.data is None:
-            return hit.pi.compute_surface_interaction(ray, flags, active)
+            return original(hit.pi, "compute_surface_interaction")(ray, flags, active)
         ours = self.data.surface_interaction(hit, ray, flags, active)
         if not self.data.scene_has_others:
             return ours
-        theirs = hit.pi.compute_surface_interaction(ray, flags, mi.Bool(active) & ~hit.bezier)
+        own = original(hit.pi, "compute_surface_interaction")
+        theirs = own(ray, flags, mi.Bool(active) & ~hit.bezier)
         return dr.select(hit.bezier, ours, theirs)
 
     def intersect(
@@ -66,10 +68,10 @@ class SceneRays:
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether anything is hit before ``ray.maxt``."""
         if self.data is None:
-            return self.scene.ray_test(ray, active=active)
+            return original(self.scene, "ray_test")(ray, active=active)
         if not self.data.scene_has_others:
             return self.data.test(ray, active)
-        blocked = self.scene.ray_test(ray, active=active)
+        blocked = original(self.scene, "ray_test")(ray, active=active)
         return blocked | self.data.test(ray, mi.Bool(active) & ~blocked)
 
 

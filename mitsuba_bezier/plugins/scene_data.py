@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import weakref
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,7 +33,11 @@ from .frozen import contents, is_bezier
 from .interaction import PatchTables, Preliminary, surface_interaction
 from .surface_sampling import SurfaceSampling
 
-__all__ = ["SceneData", "data_for_scene", "data_for_shapes"]
+__all__ = ["NO_PATCH", "SceneData", "data_for_scene", "data_for_shapes", "known_data"]
+
+
+#: In place of the number of a patch where there is none.
+NO_PATCH = 0xFFFFFFFF
 
 
 class SceneData:
@@ -47,9 +52,12 @@ class SceneData:
     """
 
     def __init__(self, shapes: list[Any], indices: list[int], scene: Any = None) -> None:
-        self.shapes = shapes
+        # A structure does not keep its shapes alive: when their scene goes, it goes.
+        self._shapes = [weakref.ref(shape) for shape in shapes]
         #: The tables while an integrator tracks derivatives
         self.attached: PatchTables | None = None
+        #: Whether `scene_methods.prepare` was here
+        self.prepared = False
         self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
         self._open_edges: Any = None
         self._kept: dict[tuple[str, bytes], Any] = {}
@@ -98,8 +106,20 @@ class SceneData:
         else:
             self.pointers = mi.ShapePtr(shapes[0])
         dr.make_opaque(self.pointers)  # a literal would make each shape its own kernels
+        #: First patch of each shape by Mitsuba's number of it, `NO_PATCH` for shapes not ours.
+        self.first_patch = _by_number(self.pointers, patch_first, patch_shape)
         self._name = " ".join(str(x) for x in (scene is not None, *(s.serial for s in shapes)))
         self._show()
+
+    @property
+    def shapes(self) -> list[Any]:
+        """The shapes of the structure, those that still exist."""
+        return [shape for shape in (reference() for reference in self._shapes) if shape is not None]
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether all shapes of the structure still exist."""
+        return len(self.shapes) == len(self._shapes)
 
     def _show(self) -> None:
         """Let frozen functions find the arrays."""
@@ -206,6 +226,9 @@ class SceneData:
             ``Forward`` brings the derivatives of the parameters to the nets now: inside of a
             recorded loop they could not come from outside.
         """
+        if self.attached is not None:  # within a render that has done so
+            yield
+            return
         with dr.resume_grad():
             self.attached = attached_tables(self.tables, self.shapes)
             if mode == dr.ADMode.Forward and dr.grad_enabled(self.attached.nets):
@@ -288,6 +311,15 @@ def _leaves_of(shape: Any, remember: bool) -> Leaves:
     return leaves
 
 
+def _by_number(pointers: Any, patch_first: list[int], patch_shape: list[int]) -> Any:
+    """Return the table `SceneData.first_patch`."""
+    numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
+    table = np.full(int(numbers.max()) + 1, NO_PATCH, dtype=np.uint32)
+    shapes, at = np.unique(np.array(patch_shape), return_index=True)
+    table[numbers[shapes]] = np.array(patch_first, dtype=np.uint32)[at]
+    return upload(mi.UInt32, table)
+
+
 def _texcoords(shapes: list[Any]) -> Any:
     """Return texture coordinates of all patches, or None if no shape has any."""
     if all(shape.texture_corners is None for shape in shapes):
@@ -318,9 +350,7 @@ def _cached(key: tuple, make: Any) -> SceneData:
             "recorded loops and calls and of frozen functions, where the structure can be built; "
             "got it inside of one"
         )
-    # a state that a shape has left will not come again
-    for old in [k for k, d in _cache.items() if any(s.version not in k for s in d.shapes)]:
-        del _cache[old]
+    _forget()
     data = make()
     _cache[key] = data
     while len(_cache) > _CACHE_SIZE:
@@ -328,9 +358,23 @@ def _cached(key: tuple, make: Any) -> SceneData:
     return data
 
 
+def _forget() -> None:
+    """Drop structures of shapes that are gone, and of states that a shape has left for good."""
+    for key, data in list(_cache.items()):
+        if not data.is_alive or any(s.version not in key for s in data.shapes):
+            del _cache[key]
+
+
 def clear_cache() -> None:
     """Drop all structures; their arrays belong to a variant."""
     _cache.clear()
+
+
+def known_data() -> list[SceneData]:
+    """Return the structures of the variant that is set, the one used last first."""
+    _forget()
+    variant = mi.variant()
+    return [data for key, data in reversed(_cache.items()) if key[0] == variant]
 
 
 def data_for_shapes(shapes: list[Any]) -> SceneData:

@@ -18,6 +18,7 @@ from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
 from .copies import copy_boxes, read_copies
 from .interaction import Preliminary
+from .sensors import watch
 from .shape_parameters import read_affine, read_patches, read_tables
 from .shape_silhouettes import METHODS
 from .surface_area import surface_area
@@ -135,6 +136,10 @@ def make_shape_class() -> type:
                 )
             if emitter is not None and self.copies is not None:
                 raise BezierError.expected("emitter", "none on a shape with copies", "one")
+            if self.sensor() is not None:
+                if self.copies is not None:
+                    raise BezierError.expected("sensor", "none on a shape with copies", "one")
+                watch(self.sensor(), "irradiancemeter", self)
             self._flip = flip
             self._need_area(patches)
             #: What `control_points` holds, in float32.
@@ -305,6 +310,60 @@ def make_shape_class() -> type:
             return len(self.patches)
 
         effective_primitive_count = primitive_count
+
+        def bbox(self, index: Any = None, clip: Any = None) -> Any:
+            """Return the box of the shape, or of one patch, clipped to another box if given."""
+            if index is None:
+                return super().bbox()
+            if not 0 <= int(index) < len(self.patches):
+                raise BezierError.expected("index", f"0 to {len(self.patches) - 1}", repr(index))
+            low, high = finite_bounds(self.patches[[int(index)]])
+            box = mi.ScalarBoundingBox3f(low.tolist(), high.tolist())
+            if clip is not None:
+                box.clip(clip)
+            return box
+
+        def eval_parameterization(self, uv: Any, flags: Any = None, active: Any = True) -> Any:
+            """Return the interaction at parameters of the patch.
+
+            Raises
+            ------
+            BezierError
+                If the shape has several patches, or texture coordinates of its own: the same
+                coordinates may be anywhere then, or nowhere.
+            """
+            if len(self.patches) > 1 or self.texture_corners is not None:
+                raise BezierError.expected(
+                    "eval_parameterization",
+                    "a shape of one patch without texcoords (elsewhere evaluate `shape.patches`)",
+                    f"{len(self.patches)} patches"
+                    + (" with texcoords" if self.texture_corners is not None else ""),
+                )
+            flags = mi.RayFlags.All if flags is None else flags
+            uv, active = mi.Point2f(uv), mi.Bool(active)
+            inside = active & (uv.x >= 0) & (uv.y >= 0) & (uv.x + uv.y <= 1)
+            pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(uv))
+            pi.t, pi.prim_uv, pi.valid = mi.Float(0.0), uv, inside
+            pi.shape = mi.ShapePtr(self)
+            hit = Preliminary(pi, inside, mi.UInt32(0))
+            ray = dr.zeros(mi.Ray3f, dr.width(uv))
+            ray.o = mi.Point3f(dr.largest(mi.Float))  # no ray tells the point better than the patch
+            si = self._alone().surface_interaction(hit, ray, flags, inside)
+            si.t = dr.select(inside, 0.0, dr.inf)
+            return si
+
+        def write_ply(self, filename: Any) -> None:
+            """Write triangles to a file, within a thousandth of the shape's size."""
+            from ..io import save
+
+            low, high = finite_bounds(self.patches)
+            error = 1e-3 * float(np.linalg.norm(high - low))
+            mi.Log(
+                mi.LogLevel.Info,
+                f"write_ply: the patches become triangles within {error:.3g} of the surface; "
+                "mitsuba_bezier.io.save has an option for it",
+            )
+            save(self.patches, str(filename), chord_error=error)
 
         def add_attribute(self, name: str, size: int, buffer: Any) -> None:
             """Add an attribute, as `mi.Mesh` does.

@@ -26,6 +26,11 @@ PARAMETERS = {
     "bezierpath": _PATH,
     "beziervolpath": _PATH,
     "bezieraov": ("aovs", "hide_emitters"),
+    "bezierdepth": ("hide_emitters",),
+    "bezierdirect": ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters"),
+    "beziermoment": ("hide_emitters",),
+    "bezierptracer": (*_PATH, "samples_per_pass"),
+    "bezierstokes": ("hide_emitters",),
     "bezier_prb_projective": (*_PATH, *_SAMPLES),
     "bezier_direct_projective": (*_PATH[1:], *_SAMPLES),
 }
