@@ -11,7 +11,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from derivative_cases import central
 from mitsuba_cases import bezier
 from test_bezierpath import SHARE, ball, bsdfs, camera, floor, lamp, share_that_agrees
 
@@ -189,7 +188,7 @@ def both(**more: Any) -> tuple[Any, Any]:
 def rays(count: int = 4000) -> Any:
     rng = np.random.default_rng(7)
     o = rng.normal(size=(count, 3)) * 0.6 + [0, 0, -4]
-    d = rng.normal(size=(count, 3)) * 1.6 - o
+    d = rng.normal(size=(count, 3)) * 1.2 - o
     return mi.Ray3f(mi.Point3f(np.float32(o.T)), mi.Vector3f(np.float32(d.T)))
 
 
@@ -213,13 +212,12 @@ def test_queries_of_scenes(name):
     ray = rays()
     a, b = (QUERIES[name](scene, ray) for scene in (native, patches))
     hit = np.isfinite(np.array(a.t))
-    assert 0.3 < (np.array(a.t)[hit] < 4).mean() < 0.95  # both the ball and the wall are met
-    # float32 on both sides, some 5 units away: a few roundings of 5 over the cosine, which is
-    # left out below 0.05 (3 % of the rays)
-    steep = hit & (np.abs(np.array(a.wi.z)) > 0.05)
+    assert 0.2 < (np.array(a.p.z)[hit] < 2).mean() < 0.95  # both the ball and the wall are met
+    # float32 on both sides, some 5 units away: ten roundings of 5 over a cosine of 0.2
+    steep = hit & (np.abs(np.array(a.wi.z)) > 0.2)
     assert (np.isfinite(np.array(b.t)) == hit)[steep].all()
-    assert np.abs(np.array(a.t) - np.array(b.t))[steep].max() < 5e-5
-    assert np.abs(np.array(a.n) - np.array(b.n))[:, steep].max() < 5e-5
+    assert np.abs(np.array(a.t) - np.array(b.t))[steep].max() < 1.5e-5
+    assert np.abs(np.array(a.n) - np.array(b.n))[:, steep].max() < 1.5e-5
     for active in (False, mi.Bool(False)):
         assert not dr.any(patches.ray_intersect(ray, active).is_valid())
         assert not dr.any(patches.ray_test(ray, active))
@@ -348,7 +346,8 @@ def test_derivatives_by_mitsubas_names(name):
     value = mean(lift)
     dr.backward(value)
     got = float(dr.grad(lift)[0])
-    want = central(lambda x: float(mean(mi.Float(x)).array[0]), 0.0, 0.05)
+    above, below = (float(mean(mi.Float(x)).array[0]) for x in (0.05, -0.05))
+    want = (above - below) / 0.1
     # the differences' own error, of second order in the step, is below 1 %; the rest is noise
     assert got == pytest.approx(want, rel=0.05)
 
