@@ -275,11 +275,11 @@ def test_bezier_shapes_are_rendered(folder):
     assert (np.abs(native - exact) > 2e-3).mean() < 0.01
 
 
-def test_other_integrators_do_not_see_bezier_shapes(folder, capsys):
+def test_integrators_that_cannot_see_bezier_shapes(folder, capsys):
     mb.sphere().save(folder / "ball.vtu")
-    direct = '<integrator type="direct"/>'
-    nested = f'<integrator type="aov"><string name="aovs" value="x:uv"/>{direct}</integrator>'
-    for integrator, place in ((direct, "line 3, col 4"), (nested, "line 3")):
+    other = '<integrator type="volprim_rf_basic"/>'
+    nested = f'<integrator type="aov"><string name="aovs" value="x:uv"/>{other}</integrator>'
+    for integrator, place in ((other, "line 3, col 4"), (nested, "line 3")):
         (folder / "a.xml").write_text(
             scene(integrator=integrator, shapes=BEZIER.format("ball.vtu"))
         )
@@ -287,14 +287,23 @@ def test_other_integrators_do_not_see_bezier_shapes(folder, capsys):
         err = capsys.readouterr().err
         assert "integrator: expected bezierpath or beziervolpath or bezieraov or " in err
         assert "path (rendered with bezierpath)" in err
-        assert f"got direct at a.xml ({place}" in err
-    # without Bézier shapes they are used as they are
-    (folder / "b.xml").write_text(scene(integrator=direct))
-    assert render("b.xml", "-q", "--spp", "1") == 0
-    assert header("b.exr")["integrator"] == "direct"
-    (folder / "c.xml").write_text(scene(integrator=nested))
-    assert render("c.xml", "-q", "--spp", "1") == 0
-    assert header("c.exr")["integrator"] == "bezieraov"
+        assert f"got volprim_rf_basic at a.xml ({place}" in err
+
+
+@pytest.mark.parametrize("name", ["direct", "depth", "prb", "ptracer"])
+def test_integrators_by_their_own_names(folder, name):
+    mb.sphere().save(folder / "ball.vtu")
+    integrator = f'<integrator type="{name}"/>'
+    (folder / "native.xml").write_text(scene(integrator=integrator))
+    (folder / "ours.xml").write_text(scene(integrator=integrator, shapes=BEZIER.format("ball.vtu")))
+    means = []
+    for file in ("native", "ours"):
+        assert render(f"{file}.xml", "-q", "--spp", "64") == 0
+        assert header(f"{file}.exr")["integrator"] == name
+        means.append(pixels(f"{file}.exr")["R"].mean(dtype=float))
+    # a ball under a constant sky: noise of the mean is below 1 %
+    assert means[1] == pytest.approx(means[0], rel=0.02)
+    assert means[0] > 0
 
 
 # ---------------------------------------------------------------- errors, before any rendering

@@ -189,6 +189,7 @@ def rays(count: int = 4000) -> Any:
     rng = np.random.default_rng(7)
     o = rng.normal(size=(count, 3)) * 0.6 + [0, 0, -4]
     d = rng.normal(size=(count, 3)) * 1.2 - o
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
     return mi.Ray3f(mi.Point3f(np.float32(o.T)), mi.Vector3f(np.float32(d.T)))
 
 

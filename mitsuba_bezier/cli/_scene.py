@@ -25,17 +25,34 @@ __all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "check_name", "load", "scene_fil
 
 SHAPE = "beziertriangle"
 
-#: Integrators that intersect rays with the exact surfaces.
+#: Mitsuba's integrators that have an equal among ours, with the same parameters and defaults.
+REPLACED = {"path": "bezierpath", "volpath": "beziervolpath", "aov": "bezieraov"}
+
+#: Integrators that render the exact surfaces: ours, and those of Mitsuba's that find ours, or the
+#: scene's exact queries, when they render.
 SEES_BEZIER = (
     "bezierpath",
     "beziervolpath",
     "bezieraov",
+    "bezierdepth",
+    "bezierdirect",
+    "beziermoment",
+    "bezierptracer",
+    "bezierstokes",
     "bezier_direct_projective",
     "bezier_prb_projective",
+    "depth",
+    "direct",
+    "direct_projective",
+    "moment",
+    "prb",
+    "prb_basic",
+    "prb_projective",
+    "prbvolpath",
+    "ptracer",
+    "stokes",
+    "volpathmis",
 )
-
-#: Mitsuba's integrators that have an equal among ours, with the same parameters.
-REPLACED = {"path": "bezierpath", "volpath": "beziervolpath", "aov": "bezieraov"}
 
 #: Integrators whose nested integrators see what these see.
 HAS_NESTED = ("bezieraov",)

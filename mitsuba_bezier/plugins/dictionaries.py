@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import NetError
 from ..geometry.triangles import BezierTriangles
+from .frozen import is_bezier
 
 __all__ = ["install", "shape", "with_tensors"]
 
@@ -60,6 +61,12 @@ def _tensor(key: str, value: Any) -> Any:
     return mi.TensorXd(array.ravel(), shape=array.shape)
 
 
+def _has_ours(scene: Any) -> bool:
+    if not isinstance(scene, Mapping):
+        return is_bezier(scene)
+    return scene.get("type") == SHAPE or any(_has_ours(value) for value in scene.values())
+
+
 def install() -> None:
     """Let `mi.load_dict` take nets; once is enough."""
     own = getattr(mi, "load_dict", None)  # not there before a variant is set
@@ -68,6 +75,10 @@ def install() -> None:
 
     @wraps(own)
     def load_dict(dict: Any, *args: Any, **kwargs: Any) -> Any:
+        if not args and "optimize" not in kwargs and _has_ours(dict):
+            # Mitsuba merges meshes in an order that differs from load to load, and with it the
+            # numbers of emitters: equal seeds would give other images
+            kwargs["optimize"] = False
         return own(with_tensors(dict), *args, **kwargs)
 
     load_dict.takes_nets = True  # type: ignore[attr-defined]

@@ -94,6 +94,12 @@ def _flag(coherent: Any) -> bool:
     return coherent if isinstance(coherent, bool) else False
 
 
+def _is_mask(value: Any) -> bool:
+    return isinstance(value, bool) or (
+        value is not None and not isinstance(value, int | mi.RayFlags)
+    )
+
+
 # Signatures of Mitsuba's overloads. The reordering of threads is a hint for OptiX; patches are
 # traced by a kernel of their own, which it does not concern.
 
@@ -113,7 +119,7 @@ def _ray_intersect(
         if active is not None:
             hints["active"] = active
         return original(self, "ray_intersect")(ray, *given, *rest, **hints)
-    if coherent is None and ray_flags is not None and not isinstance(ray_flags, (int, mi.RayFlags)):
+    if coherent is None and _is_mask(ray_flags):
         ray_flags, active = None, ray_flags  # ray_intersect(ray, active)
     if active is None:
         active = rest[-1] if len(rest) in (1, 4) else True
