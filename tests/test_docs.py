@@ -10,6 +10,7 @@ import pytest
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (
     "conventions.md",
+    "integrators.md",
     "inverse.md",
     "lecture.md",
     "media.md",
@@ -20,6 +21,7 @@ PAGES = (
 #: How many blocks of Python they have at least, so that the pattern still finds them.
 BLOCKS = {
     "conventions.md": 5,
+    "integrators.md": 2,
     "inverse.md": 1,
     "lecture.md": 5,
     "media.md": 1,
