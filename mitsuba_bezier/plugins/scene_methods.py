@@ -10,6 +10,7 @@ way: `counterparts` takes care of it.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 import drjit as dr
@@ -66,6 +67,21 @@ def install() -> None:
     for name, method in _SCENE.items():
         replace(mi.Scene, name, method)
     replace(mi.PreliminaryIntersection3f, "compute_surface_interaction", _interaction)
+    if not hasattr(mi.render, "prepares"):
+        mi.render = _preparing(mi.render)
+
+
+def _preparing(render: Any) -> Any:
+    """Return `mi.render` that builds what an integrator may first ask for in a recorded loop."""
+
+    @wraps(render)
+    def prepared(scene: Any, *args: Any, **kwargs: Any) -> Any:
+        if _on and isinstance(scene, mi.Scene):
+            prepare(scene)
+        return render(scene, *args, **kwargs)
+
+    prepared.prepares = True  # type: ignore[attr-defined]
+    return prepared
 
 
 def _rays(scene: Any) -> SceneRays | None:
@@ -184,7 +200,15 @@ def _sample_emitter_ray(
     return EmitterSampling(rays).sample_ray(time, sample1, sample2, sample3, mi.Bool(active))
 
 
+def _sensors(self: Any) -> Any:
+    """Return the sensors; who asks for them is about to render, often first in a recorded loop."""
+    if _on and not dr.flag(dr.JitFlag.SymbolicScope) and not dr.flag(dr.JitFlag.FreezingScope):
+        prepare(self)
+    return original(self, "sensors")()
+
+
 _SCENE: dict[str, Callable[..., Any]] = {
+    "sensors": _sensors,
     "ray_intersect": _ray_intersect,
     "ray_intersect_preliminary": _ray_intersect_preliminary,
     "ray_test": _ray_test,
