@@ -81,10 +81,15 @@ class Surface:
 @cache
 def bezier(name: str) -> Surface:
     """Return a surface of `BEZIER`, built once a process."""
-    data = data_for_shapes([mi.load_dict(bezier_shape(patches_of(name)))])
+    shape = mi.load_dict(bezier_shape(patches_of(name)))
+    _SHAPES.append(shape)  # a structure does not keep its shapes alive
+    data = data_for_shapes([shape])
     if name == "sphere, general":
         switch_off(data)
     return Surface(data)
+
+
+_SHAPES: list[Any] = []
 
 
 def switch_off(data: Any) -> None:
