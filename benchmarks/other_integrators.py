@@ -64,9 +64,7 @@ def main() -> int:
     error = np.sqrt((t.var(axis=0, ddof=1) + u.var(axis=0, ddof=1)) / batches)
     lit = t.mean(axis=0) > 0.01 * t.mean(axis=0).max()
     z = np.abs(t.mean(axis=0) - u.mean(axis=0))[lit] / error[lit]
-    print(
-        f"path lengths: {lit.sum()} bins with light, largest difference {z.max():.1f} standard errors"
-    )
+    print(f"path lengths: {lit.sum()} bins with light, at most {z.max():.1f} standard errors apart")
     # Student's distribution with 14 degrees of freedom and some 40 bins: 5 is one in 200
     return int(z.max() > 5)
 
