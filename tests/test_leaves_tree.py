@@ -304,7 +304,8 @@ def check_exact(patches: mb.BezierTriangles, leaves: Leaves, slack: float) -> No
     uv = lattice(8)[[9, 17, 20, 25, 30, 33]]  # inside and on edges
     for l in range(len(leaves)):
         h = patches.evaluate(int(leaves.patch[l]), uv)
-        x = np.concatenate([h[:, :3] / h[:, 3:] - leaves.shift[l], np.ones((len(uv), 1))], axis=1)
+        x = (h[:, :3] / h[:, 3:] - leaves.shift[l]) @ leaves.axes[l].T
+        x = np.concatenate([x, np.ones((len(uv), 1))], axis=1)
         bary = x @ leaves.frame[l, :3].T
         total = bary.sum(axis=1)
         assert (np.abs(total) >= leaves.form[l, LEAST]).all()
@@ -314,7 +315,7 @@ def check_exact(patches: mb.BezierTriangles, leaves: Leaves, slack: float) -> No
             form[i, j] = form[j, i] = value
         value = np.einsum("ni,ij,nj->n", x, form, x)
         gradient = 2 * np.linalg.norm(x @ form[:, :3], axis=1)
-        size = np.ptp(leaves.box[l], axis=0).max()
+        size = np.ptp(leaves.span[l], axis=0).max()
         assert np.abs(value).max() < slack * (gradient * size).max()  # distance over size
     assert (leaves.domain == np.eye(3)).all()
 

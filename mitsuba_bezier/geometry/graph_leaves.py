@@ -335,6 +335,8 @@ def _fit_charts(
         box=BezierTriangles(nets).hulls(),
         certified=good.copy(),
         group=np.full(len(nets), -1),
+        axes=np.broadcast_to(np.eye(3), (len(nets), 3, 3)),
+        span=np.zeros((len(nets), 2, 3)),
     )
     return leaves, good
 

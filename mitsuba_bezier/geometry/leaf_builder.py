@@ -8,12 +8,14 @@ from functools import partial
 
 import numpy as np
 
+from .affine_frames import affine_frames
 from .degree_reduction import reduce_degree
 from .exact_leaves import exact_leaves
 from .graph_leaves import subdivide
 from .inverted_leaves import inverted_leaves
 from .leaves import DEVIATION, LeafSettings, Leaves
 from .proper_nets import free_of_factor, spans_area
+from .quadric_groups import in_space_of
 from .section_leaves import section_leaves
 from .sector_leaves import sector_leaves
 from .triangles import BezierTriangles
@@ -64,7 +66,17 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
         if settings.sections:
             finders.append(section_leaves)
         finders.append(inverted_leaves)
-        parts, numbers = _closed_forms(patches, finders)
+        left = np.ones(len(patches), dtype=bool)
+        for frame in affine_frames(patches):
+            body = patches[frame.which]
+            for leaves in _closed_forms(frame.apply(body), finders)[0]:
+                parts.append(in_space_of(frame, leaves, body))
+                left[parts[-1].patch] = False
+        numbers = np.flatnonzero(left)
+        if len(numbers):
+            others, rest = _closed_forms(patches[numbers], finders)
+            parts += [replace(leaves, patch=numbers[leaves.patch]) for leaves in others]
+            numbers = numbers[rest]
         nets = nets[numbers]
     for first in range(0, len(numbers), _CHUNK):
         chunk = slice(first, first + _CHUNK)

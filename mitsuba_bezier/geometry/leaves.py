@@ -202,6 +202,9 @@ class Leaves:
     box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
     certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold
     group: np.ndarray  #: (L,) exact leaves with the same number share their quadric; else -1
+    #: (L, 3, 3) for exact leaves, frame and form are on ``(axes (p - shift), 1)`` (`affine_frames`)
+    axes: np.ndarray
+    span: np.ndarray  #: (L, 2, 3) bounds of ``axes (p - shift)`` (exact leaves; else zero)
 
     def __len__(self) -> int:
         return len(self.patch)
@@ -261,6 +264,8 @@ class Leaves:
             box=np.zeros((0, 2, 3)),
             certified=np.zeros(0, dtype=bool),
             group=np.zeros(0, dtype=int),
+            axes=np.zeros((0, 3, 3)),
+            span=np.zeros((0, 2, 3)),
         )
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from . import bernstein
+from .affine_frames import AffineFrame
 from .leaves import DEVIATION, FORM_ENTRIES, SECTION, Leaves
 from .quadric_fits import (
     centre_and_size,
@@ -16,7 +19,7 @@ from .quadric_fits import (
 )
 from .triangles import BezierTriangles
 
-__all__ = ["grouped", "quadric_leaves"]
+__all__ = ["grouped", "in_space_of", "quadric_leaves"]
 
 #: Patches looked at together: bounds the memory.
 _CHUNK = 512
@@ -58,8 +61,30 @@ def quadric_leaves(
         box=_tight_boxes(patches[which]),
         certified=np.ones(len(which), dtype=bool),
         group=np.arange(len(which)),
+        axes=np.broadcast_to(np.eye(3), (len(which), 3, 3)).copy(),
+        span=np.zeros((len(which), 2, 3)),
     )
     return grouped(leaves, patches[which])
+
+
+def in_space_of(frame: AffineFrame, leaves: Leaves, patches: BezierTriangles) -> Leaves:
+    """Return leaves that were built from patches in axes of their own, for rays in space.
+
+    Parameters
+    ----------
+    frame : AffineFrame
+    leaves : Leaves
+    patches : BezierTriangles
+        Those of the frame, in space.
+    """
+    count = len(leaves)
+    return replace(
+        leaves,
+        patch=frame.which[leaves.patch],
+        shift=frame.centre + leaves.shift @ np.linalg.inv(frame.axes).T,
+        axes=np.broadcast_to(frame.axes, (count, 3, 3)).copy(),
+        box=_tight_boxes(patches[leaves.patch]),
+    )
 
 
 def _tight_boxes(patches: BezierTriangles) -> np.ndarray:
@@ -117,6 +142,7 @@ def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
     leaves.form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
     leaves.frame[:, :, 3] += np.einsum("lrc,lc->lr", leaves.frame[:, :, :3], shift - leaves.shift)
     leaves.shift = shift
+    leaves.span = leaves.box - shift[:, None]
     # 2: between the samples, and what the neighbour's quadric is off
     leaves.form[:, DEVIATION] = np.minimum(2 * distance + 1e-12, _WRONG)
     return leaves.select(np.argsort(group, kind="stable"))

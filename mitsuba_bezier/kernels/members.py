@@ -16,9 +16,10 @@ from .trim import leaf_test
 
 __all__ = ["Roots", "find_members", "find_members_singly"]
 
-#: Rounding of a member's rows, in their own scale; it matters where all three coordinates are
-#: small, at the centre of projection (the tip of a lune).
-ROWS = 2e-7
+#: Rounding of a member's rows, and of a point, in their own scale, some eight of float32. It
+#: matters where all three coordinates are small, at the centre of projection (the tip of a lune),
+#: and where a patch is narrow.
+ROWS = 5e-7
 
 #: Sums of sides, in their own scale, of which a rounding of float32 is 1e-6 at most.
 ENOUGH = 0.1

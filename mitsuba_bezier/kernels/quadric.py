@@ -8,7 +8,7 @@ import drjit as dr
 
 from .arrays import Types, dot3, gather_packets, inverse_root, reciprocal
 from .members import Roots, find_members, find_members_singly
-from .quadric_records import GROUP
+from .quadric_records import AXES, GROUP
 from .structure import Structure
 
 __all__ = ["edge_tolerance", "group_hit"]
@@ -56,9 +56,15 @@ def group_hit(
     a = g[:10]
     dd = [f64(d[i]) for i in range(3)]
     od = [f64(o[i]) - g[10 + i] for i in range(3)]
+    if s.has_axes:  # in which the group is about as large in one direction as in another
+        axes = gather_packets(s.axes, group, AXES, active)[:9]
+        od, dd = ([dot3(axes[3 * r : 3 * r + 3], x) for r in range(3)] for x in (od, dd))
+        o, d = ([ty.Float(c) for c in x] for x in (od, dd))
+    else:
+        o = [o[i] - ty.Float(g[10 + i]) for i in range(3)]
     # any point near the group will do, the exact nearest is not needed
     length2 = dot3(d, d)
-    t0 = f64(-dot3([o[i] - ty.Float(g[10 + i]) for i in range(3)], d) * reciprocal(length2))
+    t0 = f64(-dot3(o, d) * reciprocal(length2))
     p = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
     ax = dr.fma(a[0], p[0], dr.fma(a[3], p[1], dr.fma(a[4], p[2], a[6])))
     ay = dr.fma(a[3], p[0], dr.fma(a[1], p[1], dr.fma(a[5], p[2], a[7])))

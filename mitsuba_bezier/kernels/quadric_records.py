@@ -12,11 +12,13 @@ from ..geometry.section_leaves import edge_planes, shared_map
 from ..geometry.sector_leaves import cone_planes
 
 __all__ = [
+    "AXES",
     "CELLS",
     "FEW",
     "GROUP",
     "MEMBER",
     "TABLE",
+    "axes_records",
     "cell_records",
     "group_records",
     "inverse_records",
@@ -29,6 +31,8 @@ __all__ = [
 
 #: Float64 in a group: quadric 10, shift 3, first member, number of members, `DEVIATION`.
 GROUP = 16
+#: Float64 in the record of a group's `Leaves.axes`, row by row; seven are not used.
+AXES = 16
 #: Floats in a member of a group: rows of four for its three sides, leaf number as bits, `LEAST`,
 #: `SECTION`.
 MEMBER = 16
@@ -72,6 +76,14 @@ def group_records(
     return out
 
 
+def axes_records(leaves: Leaves, first: np.ndarray) -> np.ndarray:
+    """Return the axes of groups, of their first leaves; nothing if all are those of space."""
+    axes = leaves.axes[first]
+    if (axes == np.eye(3)).all():
+        return np.zeros((0, AXES))
+    return np.pad(axes.reshape(-1, 9), ((0, 0), (0, AXES - 9)))
+
+
 def inverse_records(leaves: Leaves, exact: np.ndarray) -> np.ndarray:
     """Return the rows of exact leaves, unscaled."""
     return leaves.frame[exact].reshape(-1, MEMBER)
@@ -94,7 +106,7 @@ def member_records(
 
 def _scale(leaves: Leaves, exact: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Return what `sides` give at the leaves, so that an error of float32 has one size."""
-    reach = np.linalg.norm(_half_size(leaves.box[exact]), axis=1)
+    reach = np.linalg.norm(_half_size(leaves.span[exact]), axis=1)
     scale = np.linalg.norm(sides[..., :3], axis=(1, 2)) * reach
     scale += np.linalg.norm(sides[..., 3], axis=1)
     section = leaves.are_sections[exact]
@@ -129,7 +141,7 @@ def _with_tables(leaves: Leaves, exact: np.ndarray, members: np.ndarray) -> np.n
     for number, (start, count) in enumerate(zip(first, size)):
         mine = members[start : start + count]
         if count >= FEW:
-            half = _reach(leaves.box[exact[start : start + count]] - leaves.shift[exact[start]])
+            half = _reach(leaves.span[exact[start : start + count]])
             # three floats of ten bits: exponent and two of the mantissa, rounded down
             bits = (4 / half).astype(np.float32).view(np.uint32) >> np.uint32(21)
             half = 4 / (bits << np.uint32(21)).view(np.float32)
@@ -165,7 +177,7 @@ def cell_records(
     groups[large, 14] += 32 * (1 + np.arange(len(large)))
     # barycentrics have signs only up to a common factor
     bounded = (leaves.are_sections | leaves.are_inverted | leaves.are_cones)[exact]
-    box = leaves.box[exact] - leaves.shift[exact][:, None]
+    box = leaves.span[exact]
     place = _cells()
     out = np.zeros((len(large), CELLS), dtype=np.uint32)
     for number, g in enumerate(large):

@@ -14,6 +14,7 @@ from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
 from .quadric_records import (
     MEMBER,
+    axes_records,
     cell_records,
     group_records,
     inverse_records,
@@ -62,6 +63,7 @@ class Structure:
     nets: Any  #: Float32, x (`HEAD` + K * `components`), padded to packets of eight; affine leaves
     far_nets: Any  #: Float64, the same for projective leaves, four components
     groups: Any  #: Float64, x `GROUP`
+    axes: Any  #: Float64, x `AXES`: of each group, if one has others than those of space
     #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
     only_group: list[Any] | None
     #: see `quadric_records.shared_section`: data of the kernel, too, if not None
@@ -79,6 +81,7 @@ class Structure:
     #: whether what the sides of a member are at a hit tells its parameters, mostly
     by_sides: bool
     has_sections: bool  #: whether parameters of some exact leaves take an iteration
+    has_axes: bool  #: whether rays change to axes of their own for groups
     has_inverted: bool  #: ... and to tell whether a point is on them at all
     only_inverted: bool  #: ... as on all exact leaves
     has_apexes: bool  #: whether some exact leaves have a point where their quadric is singular
@@ -96,6 +99,7 @@ class Structure:
             self.has_groups,
             self.shared_section is not None,
             self.by_sides,
+            self.has_axes,
             self.has_inverted,
             self.only_inverted,
             self.has_apexes,
@@ -190,6 +194,7 @@ def build_structure(
         "nets": _nets(leaves, affine, components).astype(np.float32),
         "far_nets": _nets(leaves, projective),
         "groups": group_records(leaves, exact, group_first, group_size),
+        "axes": axes_records(leaves, exact[group_first]),
         "members": member_records(leaves, exact, sides, len(graph)),
         "rows": inverse_records(leaves, exact),
         "planes": section_records(leaves, exact),
@@ -219,6 +224,7 @@ def build_structure(
         has_sections=bool(leaves.are_sections.any()),
         by_sides=shared is not None
         or (single and trims is None and not leaves.form[exact, SECTION].any()),
+        has_axes=len(arrays["axes"]) > 0,
         has_inverted=bool(leaves.are_inverted.any()),
         only_inverted=len(exact) > 0 and bool(leaves.are_inverted[exact].all()),
         has_apexes=bool((leaves.are_cones | _have_sides(leaves)).any()),
