@@ -397,11 +397,123 @@ def test_obj_trims_along_parameter_lines(tmp_path):
     assert area_in_plan(t) == pytest.approx(0.5, abs=1e-14)
 
 
-def test_obj_curved_trim_is_reported(tmp_path):
-    slanted = [(0, 0), (2, 0.5), (0, 1)]
-    text = curves(slanted) + PIECES.format(trim="trim 0 3 1\n") + PIECES.format(trim="")
-    path = put(tmp_path, text.replace("v ", "v ", 1), "a.obj")
-    report = io.read(path).report
+def statement(cstype, degree, points, parm, first=1) -> str:
+    """One curv2 with its points."""
+    numbers = " ".join(str(first + k) for k in range(len(points)))
+    out = [f"vp {' '.join(map(repr, p))}" for p in points]
+    out += [f"cstype {cstype}", f"deg {degree}", f"curv2 {numbers}"]
+    return "\n".join([*out, "parm u " + " ".join(map(str, parm)), "end"]) + "\n"
+
+
+def ring() -> tuple[str, float]:
+    """A circle of radius 0.3 around (0.9, 0.5), in four rational arcs."""
+    c = float(np.sqrt(0.5))
+    corners = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0)]
+    points = [
+        (0.9 + 0.3 * x, 0.5 + 0.3 * y, c if k % 2 else 1.0) for k, (x, y) in enumerate(corners)
+    ]
+    return statement("rat bezier", 2, points, range(5)), 4.0
+
+
+def through(bases: str) -> np.ndarray:
+    """Points of the closed curve below, for its area."""
+    t = np.linspace(0, 1, 4000)[:, None]
+    corners = np.array([(0.4, 0.3), (1.2, 0.2), (1.4, 0.8), (0.6, 0.7)])
+    if bases == "parabola":
+        return np.concatenate([np.hstack([0.5 + t, 0.9 - 0.7 * t + 0.4 * t * t - 0.3 * t])])
+    out = []
+    for k in range(4):
+        a, b, c, d = (corners[(k + j) % 4] for j in (-1, 0, 1, 2))
+        if bases == "cardinal":  # tangents are half of what is between the neighbours
+            h = (2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, -2 * t**3 + 3 * t**2, t**3 - t**2)
+            out.append(h[0] * b + h[1] * (c - a) / 2 + h[2] * c + h[3] * (d - b) / 2)
+        else:  # uniform cubic B-spline
+            h = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
+            out.append(sum(w * p for w, p in zip(h, (a, b, c, d))) / 6)
+    return np.concatenate(out)
+
+
+def shoelace(p: np.ndarray) -> float:
+    q = np.roll(p, -1, axis=0)
+    return 0.5 * abs(float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()))
+
+
+def curved_cases() -> dict[str, tuple[str, str, float, int]]:
+    """Curves, what a trim says of them, and the area inside."""
+    corners = [(0.4, 0.3), (1.2, 0.2), (1.4, 0.8), (0.6, 0.7)]
+    wrapped = [corners[(k - 1) % 4] for k in range(7)]
+    text, stop = ring()
+    triangle = [(0.1, 0.1), (1.9, 0.5), (0.1, 0.9), (0.1, 0.1)]
+    bow = [(0.5, 0.9), (1.0, -1.0), (0.0, 0.4)]  # 0.5 + t, 0.9 - t + 0.4 t^2
+    line = [(1.5, 0.3), (0.5, 0.9)]
+    taylor = statement("taylor", 2, bow, [0, 1]) + statement("bezier", 1, line, [0, 1], 4)
+    return {
+        "circle": (text, f"0 {stop} 1", np.pi * 0.09),
+        "circle, turned round": (text, f"{stop} 0 1", np.pi * 0.09),
+        "halves of a circle": (text, "0 2 1 2 4 1", np.pi * 0.09),
+        "triangle": (statement("bezier", 1, triangle, range(4)), "0 3 1", 0.72),
+        "cardinal": (
+            statement("cardinal", 3, wrapped, range(5)),
+            "0 4 1",
+            shoelace(through("cardinal")),
+        ),
+        "B-spline": (
+            statement("bspline", 3, wrapped, range(11)),
+            "3 7 1",
+            shoelace(through("bspline")),
+        ),
+        "taylor": (taylor, "0 1 1 0 1 2", 0.4 / 6),
+    }
+
+
+@pytest.mark.parametrize("keep", [True, False])
+@pytest.mark.parametrize("word", ["trim", "hole"])
+@pytest.mark.parametrize("name", curved_cases())
+def test_obj_curved_trims(tmp_path, name, word, keep):
+    """As for STEP: the patches with trims, or restricted to them."""
+    text, loop, area = curved_cases()[name]
+    path = put(tmp_path, text + PIECES.format(trim=f"{word} {loop}\n"), "a.obj")
+    model = io.read(path, trims=keep)
+    assert not model.report.refused, model.report.summary()
+    if word == "hole":
+        area = 2 - area
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    found = 0.0
+    for group, trims in zip(model.groups, model.trims or [None] * len(model.groups)):
+        if keep:
+            side = (np.arange(90) + 0.5) / 90
+            uv = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+            uv = np.concatenate(
+                [uv[uv.sum(axis=1) < 1 - 1e-9], uv[uv.sum(axis=1) < 1.001 - 1 / 90]]
+            )
+            weight = np.full(len(uv), 0.5 / len(uv))
+        else:
+            s, t = np.meshgrid((nodes + 1) / 2, (nodes + 1) / 2)
+            uv = np.stack([s, (1 - s) * t], axis=-1).reshape(-1, 2)
+            weight = (np.outer(weights, weights) * (1 - s) / 4).ravel()
+        patch, at = np.repeat(np.arange(len(group)), len(uv)), np.tile(uv, (len(group), 1))
+        d = group.differential(patch, at)
+        np.testing.assert_allclose(d.p[:, 2], d.p[:, 0] ** 2, atol=1e-12)
+        size = np.cross(d.dp_du, d.dp_dv)[:, 2] * np.tile(weight, len(group))
+        assert trims is not None if keep else trims is None
+        found += size @ (trims.inside(patch, at) if keep else np.ones(len(at)))
+    # counted points stand for 1/8100 of a patch each; parabolas are within 1e-5
+    assert found == pytest.approx(area, rel=0.02 if keep else 1e-4)
+
+
+def test_obj_trims_beyond_the_range(tmp_path):
+    """What is outside of the surface's range is no surface, whatever the trims enclose."""
+    wide = [(-1, -0.5), (3, 0.5), (-1, 1.5), (-1, -0.5)]
+    text = statement("bezier", 1, wide, range(4)) + PIECES.format(trim="trim 0 3 1\n")
+    (group,) = io.read(put(tmp_path, text, "a.obj")).groups
+    # v between -1/4 + u/4 and 5/4 - u/4, cut at 0 and 1: 2 less two triangles of 1 x 1/4
+    assert area_in_plan(group) == pytest.approx(2 - 0.25, rel=1e-9)
+
+
+def test_obj_trims_of_other_bases_are_reported(tmp_path):
+    odd = statement("bmatrix", 3, [(0, 0), (2, 0.5), (0, 1), (0, 0)], [0, 1])
+    text = odd + PIECES.format(trim="trim 0 1 1\n") + PIECES.format(trim="")
+    report = io.read(put(tmp_path, text, "a.obj")).report
     assert (report.faces, report.converted) == (2, 1)
     assert "trimmed by curves" in report.refused[0].reason
     assert re.fullmatch(r"surf in line \d+", report.refused[0].face)

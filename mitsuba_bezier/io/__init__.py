@@ -58,7 +58,7 @@ _READERS = {
 #: Options of the writers, by suffix.
 _OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims", "attributes")}
 #: Suffixes of the formats whose patches can have trims.
-_TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".step", ".stp", ".vtu")
+_TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu")
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}
 
 

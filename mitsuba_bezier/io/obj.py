@@ -1,10 +1,10 @@
 """Free-form surfaces of Wavefront's ``.obj``: Bézier and B-spline, rational or not.
 
 Read: ``v`` (with weight), ``cstype [rat] bezier`` and ``[rat] bspline``, ``deg``, ``parm``,
-``surf`` with its parameter range, ``trim`` and ``hole`` along parameter lines (``curv2``), ``end``
-and the older ``bzp``. Other bases (bmatrix, cardinal, taylor) and curved trims are reported, as are
-the older patches ``bsp`` and ``cdp``. Polygons (``f``) are left to programs for meshes, and
-counted; so is every statement that is not known.
+``surf`` with its parameter range, ``trim`` and ``hole`` by curves (``curv2``, of the bases cardinal
+and taylor, too), ``end`` and the older ``bzp``. Surfaces of other bases are reported, as are the
+older patches ``bsp`` and ``cdp``. Polygons (``f``) are left to programs for meshes, and counted;
+so is every statement that is not known.
 
 Source: "Advanced Visualizer Manual, Appendix B1: Object Files", Wavefront; for instance
 http://paulbourke.net/dataformats/obj/
@@ -24,10 +24,11 @@ from ..geometry import bernstein
 from .files import damaged, read_text
 from .limits import check_memory
 from .nurbs import bezier_matrices, check_knots
+from .obj_trims import bezier_form, grid_of_range, trimmed_surface
 from .report import Collector, Model
 from .tensor_nets import homogeneous, tensor_nets
 from .text import numbers
-from .trims import CURVED, rectilinear, trimmed
+from .trims import rectilinear, trimmed
 
 __all__ = ["read"]
 
@@ -84,19 +85,19 @@ class _Curve:
     degree: int
 
     def pieces(self, start: float, stop: float) -> np.ndarray:
-        """Return Euclidean Bézier points ``(S, p+1, 2)`` from parameter `start` to `stop`."""
+        """Return Bézier points ``(S, p+1, 3)``, homogeneous, from parameter `start` to `stop`."""
         low, high = sorted((start, stop))
         matrices, first, intervals = bezier_matrices(self.knots, self.degree, (low, high))
         inside = (intervals.mean(axis=1) > low) & (intervals.mean(axis=1) < high)
         net = self.net[first[inside, None] + np.arange(self.degree + 1)]
         out = matrices[inside] @ net
-        out = out[..., :2] / out[..., 2:]
         return out if start <= stop else out[::-1, ::-1]
 
 
 class _Reader:
-    def __init__(self, path: str | PathLike[str]) -> None:
+    def __init__(self, path: str | PathLike[str], trims: bool = False) -> None:
         self.path = path
+        self.trims = trims
         self.collector = Collector(path, "obj")
         self.vertices: list[list[float]] = []  # x, y, z, weight
         self.parameters: list[list[float]] = []  # u, v, weight
@@ -227,17 +228,26 @@ class _Reader:
     def curve(self, block: _Block) -> _Curve | None:
         """Return a curve in (u, v), None if it is of a type that is not read."""
         rational, kind = block.cstype
-        if kind not in ("bezier", "bspline") or not block.degrees:
+        if kind not in ("bezier", "bspline", "cardinal", "taylor") or not block.degrees:
             return None
         count = len(self.parameters)
         rows = [self.parameters[self.index(w, count, "vp")] for w in block.arguments]
         net = np.array(rows).reshape(-1, 3)
         if not rational:
             net[:, 2] = 1.0
-        if (net[:, 2] <= 0).any():  # then the curve may leave the hull of its points
-            return None
-        net[:, :2] *= net[:, 2:]
+        if kind != "taylor":
+            if (net[:, 2] <= 0).any():  # then the curve may leave the hull of its points
+                return None
+            net[:, :2] *= net[:, 2:]
         p = block.degrees[0]
+        if kind in ("cardinal", "taylor"):
+            spans = len(block.parm.get("u", ())) - 1
+            form = bezier_form(kind, net if rational else net[:, :2], p, spans)
+            if form is None:
+                return None
+            net, kind = form if rational else np.column_stack([form, np.ones(len(form))]), "bezier"
+            if (net[:, 2] <= 0).any():
+                return None
         try:
             knots = check_knots(self.knots(block, "u", p, len(net), kind), p, len(net))
         except GeometryError as error:
@@ -303,9 +313,17 @@ class _Reader:
         edges = [np.stack([outer, np.roll(outer, -1, axis=0)], axis=1)]
         if block.loops:
             loops = self.loops(block)
-            found = rectilinear(loops, tolerance) if loops is not None else None
+            if loops is None:
+                report.refuse(name, "trimmed by curves of a type that is not read")
+                return
+            flat = [[c[:, :2] / c[:, 2:] for c in loop] for loop in loops]
+            found = rectilinear(flat, tolerance)
             if found is None:
-                report.refuse(name, CURVED)
+                if not any(kind == "trim" for kind, _words in block.loops):
+                    sides = np.stack([outer, np.roll(outer, -1, axis=0)], axis=1)
+                    loops.append([np.column_stack([side, np.ones(2)]) for side in sides])
+                box = np.array([[s0, s1], [t0, t1]])
+                self.curved(block, name, net.reshape(n, m, 4), (knots_u, knots_v), box, loops)
                 return
             if any(kind == "trim" for kind, _words in block.loops):
                 edges = found
@@ -330,6 +348,31 @@ class _Reader:
         self.collector.add(tensor_nets(patches), face)
         report.accept()
 
+    def curved(
+        self,
+        block: _Block,
+        name: str,
+        net: np.ndarray,
+        knots: tuple[list[float], list[float]],
+        box: np.ndarray,
+        loops: list[list[np.ndarray]],
+    ) -> None:
+        """Enter a surface with trims that are no parameter lines."""
+        report = self.collector.report
+        face = report.faces
+        degrees = block.degrees[0], block.degrees[1]
+        try:
+            grid = grid_of_range(net.swapaxes(0, 1), knots, degrees, box)  # u runs fastest
+        except GeometryError as error:
+            raise damaged(self.path, "a surface", error, line=block.line) from None
+        parts = grid if isinstance(grid, str) else trimmed_surface(grid, loops, self.trims)
+        if isinstance(parts, str):
+            report.refuse(name, parts)
+            return
+        for nets, trims in parts:
+            self.collector.add(nets, face, trims)
+        report.accept()
+
     def loops(self, block: _Block) -> list[list[np.ndarray]] | None:
         """Return the trimming loops as curves in (u, v), None if one cannot be used."""
         out = []
@@ -351,15 +394,22 @@ class _Reader:
         return out
 
 
-def read(path: str | PathLike[str]) -> Model:
+def read(path: str | PathLike[str], trims: bool = False) -> Model:
     """Read the free-form surfaces of an ``.obj`` file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    trims : bool
+        Whether patches may have trims.
 
     Raises
     ------
     FileFormatError
         If the file is missing, damaged, or holds no such surface.
     """
-    reader = _Reader(path)
+    reader = _Reader(path, trims)
     for reader.line, words in _statements(read_text(path)):
         reader.statement(words[0], words[1:])
     reader.line += 1

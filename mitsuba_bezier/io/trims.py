@@ -14,16 +14,13 @@ import numpy as np
 
 from .nurbs import check_knots, surface_to_bezier
 
-__all__ = ["CURVED", "MAX_CELLS", "parameter_line", "rectangles", "rectilinear", "trimmed"]
+__all__ = ["MAX_CELLS", "parameter_line", "rectangles", "rectilinear", "trimmed"]
 
 #: A loop of n edges cuts into up to n^2 / 4 patches: a small file must not fill the memory.
 MAX_CELLS = 100_000
 
 #: Each edge is compared with each patch: some four seconds.
 _MAX_TESTS = 10**9
-
-#: Why a face is refused whose loops are not of this kind.
-CURVED = "trimmed by curves that are not parameter lines"
 
 
 def parameter_line(points: np.ndarray, tolerance: np.ndarray) -> np.ndarray | None:
