@@ -23,6 +23,7 @@ import mitsuba_bezier  # before anything imports Dr.Jit
 sys.path.insert(0, str(Path(__file__).parent))  # for a caller that is not in this folder
 
 import accuracy_mitsuba
+import accuracy_points
 import accuracy_rows
 import numpy as np
 
@@ -35,6 +36,7 @@ ROWS = {
     "models": accuracy_rows.models,
     "infinity": accuracy_rows.infinity,
     "leaving": accuracy_mitsuba.leaving,
+    "points": accuracy_points.points,
     "odd": accuracy_rows.odd,
 }
 

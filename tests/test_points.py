@@ -172,3 +172,19 @@ def test_origins_of_nets():
     local, _origin = local_nets(lune)
     zero = np.abs(local[..., :3]).max(axis=2) < 1e-6
     assert (zero.sum(axis=1) == 3).all()
+
+
+@pytest.mark.parametrize(("x", "share"), [(3e4, 0.0), (1e5, 0.01)])
+def test_general_surfaces_far_from_the_origin(x, share):
+    """Without a closed form leaves have float32 origins: a few are lost at 1e5 of their sizes."""
+    torus = mb.torus(radius=0.7, tube=0.3)
+    o, d = rays(np.array([x, 0, 0]), 1.0)
+    far = torus.transform(np.eye(4) + x * np.outer([1, 0, 0, 0], [0, 0, 0, 1]))
+    t = []
+    for patches, start in ((far, o), (torus, o.astype(float) - [x, 0, 0])):
+        net = mi.TensorXd(patches.control_points)
+        shape = mi.load_dict({"type": "beziertriangle", "control_points": net})
+        t.append(np.array(shape.ray_intersect_preliminary(ray_of(start, d)).t))
+    with np.errstate(invalid="ignore"):
+        same = (t[0] == t[1]) | (np.abs(t[0] - t[1]) < 1e-6)  # some roundings of t, 2 to 4
+    assert np.isfinite(t[1]).mean() > 0.3 and (~same).mean() <= share

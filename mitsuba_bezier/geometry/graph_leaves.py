@@ -41,13 +41,15 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
     """
     n = bernstein.degree_of(nets.shape[1])
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
+    places = patch, _middles(nets)
     for depth in range(settings.max_depth + 1):
         leaves, good = _graph_leaves(nets, domain, patch, settings)
         yield leaves.select(good)
         singular = _singular_corner(nets)
         crowd = _waiting(patch, good)
-        last = _below_float32(leaves.box, singular >= 0) | (crowd > _BUDGET)
-        last[crowd > _CROWD] |= _flat(nets[crowd > _CROWD])
+        middle = places[1][np.searchsorted(places[0], patch)]
+        last = _below_float32(leaves.box, middle, singular >= 0) | (crowd > _BUDGET)
+        last[crowd > _CROWD] |= _flat(nets[crowd > _CROWD], middle[crowd > _CROWD])
         last &= ~good
         if depth == settings.max_depth:
             last = ~good
@@ -116,24 +118,39 @@ def _singular_corner(nets: np.ndarray) -> np.ndarray:
     return np.where(found, np.argmin(area, axis=1), -1)
 
 
-def _below_float32(box: np.ndarray, singular: np.ndarray) -> np.ndarray:
+def _middles(nets: np.ndarray) -> np.ndarray:
+    """Return a point near the middle of each net, the origin for nets at infinity."""
+    w = nets[..., 3]
+    with np.errstate(all="ignore"):
+        middle = (nets[..., :3] * np.sign(w)[..., None]).sum(axis=1)
+        middle = middle / np.abs(w).sum(axis=1)[:, None]
+    return np.where(np.isfinite(middle).all(axis=1)[:, None], middle, 0.0)
+
+
+def _below_float32(box: np.ndarray, middle: np.ndarray, singular: np.ndarray) -> np.ndarray:
     """Tell which leaves are too small to have a chart in float32, whose origin is rounded.
 
     They lie at singular corners such as the apex of a cone. Further cuts could not make them
-    better: they would all be cut down to the last level.
+    better: they would all be cut down to the last level. What counts is their size in that of the
+    patch, whose `middle` is given: far from the origin of space, as long as its float32 numbers
+    can place a chart, leaves are what they are near it.
     """
     with np.errstate(invalid="ignore"):
         size = (box[:, 1] - box[:, 0]).max(axis=1)
         # 3e-6: some fifty roundings of the origin. At the singular corner itself 3e-5, so that
         # the leaves around it, a tenth as large, are not too small
-        return size < np.where(singular, 3e-5, 3e-6) * np.abs(box).max(axis=(1, 2))
+        small = size < np.where(singular, 3e-5, 3e-6) * np.abs(box - middle[:, None]).max(
+            axis=(1, 2)
+        )
+        # 1e-6: the chart's origin is within a tenth of the leaf
+        return small | (size < np.where(singular, 1e-5, 1e-6) * np.abs(box).max(axis=(1, 2)))
 
 
-def _flat(nets: np.ndarray) -> np.ndarray:
+def _flat(nets: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Tell which nets with weights of one sign are planar but for `_FLAT`."""
     w = nets[..., 3]
     finite = np.logical_or((w > 0).all(axis=1), (w < 0).all(axis=1))
-    p = _affine(np.where(finite[:, None, None], nets, 1.0))
+    p = _affine(np.where(finite[:, None, None], nets, 1.0)) - middle[:, None]
     size = np.abs(p).max(axis=2).min(axis=1)  # the nearest: a leaf may reach far out
     p = p - p.mean(axis=1, keepdims=True)
     finite &= np.isfinite(p).all(axis=(1, 2))
