@@ -288,10 +288,11 @@ def test_reach_is_rounded_up_to_seven_bits():
     assert round_reach(np.array([3.76, np.inf])).tolist() == [np.inf, np.inf]
 
 
-@pytest.mark.parametrize("surface", ["torus", "cone"])
+@pytest.mark.parametrize("surface", ["torus", "cone", "flat"])
 def test_what_culling_in_float32_may_be_off(surface):
     # the kernel's way to a chart coordinate, rounded at each step, against float64
-    patches = mb.torus() if surface == "torus" else shapes.cone()
+    flat = mb.BezierTriangles([[[3.1, 0.2, 0.7, 1], [-0.4, 2.3, -1.1, 1], [0.6, -1.7, 1.9, 1]]])
+    patches = {"torus": mb.torus(), "cone": shapes.cone(), "flat": flat}[surface]
     leaves = build_leaves(patches, GENERAL)
     rng = np.random.default_rng(12)
     leaf = rng.integers(0, len(leaves), 50000)
