@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from mitsuba_cases import ray_of
-from test_bezierpath import (
+from render_cases import (
     BATCHES,
     SHARE,
     ball,

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from mitsuba_cases import bezier
-from test_bezierpath import SHARE, ball, bsdfs, camera, floor, lamp, share_that_agrees
+from render_cases import SHARE, ball, bsdfs, camera, floor, lamp, share_that_agrees
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.errors import BezierError

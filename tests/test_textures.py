@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from mitsuba_cases import bezier, numbers, ray_of, tensor
-from test_bezierpath import BATCHES, SHARE, bezierpath, camera, floor, moments, path, sky
+from render_cases import BATCHES, SHARE, bezierpath, camera, floor, moments, path, sky
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.bernstein import multi_indices

@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_bezierpath import (
+from render_cases import (
     BATCHES,
     SHARE,
     ball,
