@@ -32,6 +32,8 @@ ROWS = {
     "spheres": accuracy_mitsuba.spheres,
     "collineations": accuracy_rows.collineations,
     "leaks": accuracy_rows.leaks,
+    "proportions": accuracy_rows.proportions,
+    "sectors": accuracy_rows.sectors,
     "random": accuracy_rows.random_triangles,
     "models": accuracy_rows.models,
     "infinity": accuracy_rows.infinity,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from accuracy_tools import (
     GENERAL,
+    PRECISION,
     Line,
     Tracer,
     against_reference,
@@ -23,6 +24,7 @@ from mitsuba_bezier.geometry import analytic, bernstein, shapes
 from mitsuba_bezier.geometry.covers import quadric_cover, ruled_cover
 from mitsuba_bezier.geometry.plane_shapes import quarter_plane
 from mitsuba_bezier.geometry.quadrics import quadric_patch
+from mitsuba_bezier.geometry.reference import first_hit
 from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.geometry.triangulations import triangulated
@@ -34,7 +36,9 @@ __all__ = [
     "models",
     "odd",
     "of_revolution",
+    "proportions",
     "random_triangles",
+    "sectors",
 ]
 
 Rng = np.random.Generator
@@ -177,6 +181,107 @@ def leaks(rng: Rng, scale: float, only: tuple[str, ...] = ()) -> Iterator[Line]:
             dict(total) | {w: int((bad & (kind == k)).sum()) for k, w in enumerate(where)},
             failures,
         )
+
+
+# ------------------------------------------------------------------ thin bodies
+
+
+#: Closed bodies, and a point well inside of each.
+_BODIES = {
+    "octants": (mb.sphere(), (0, 0, 0)),
+    "tetrahedral": (mb.sphere(cover="tetrahedral"), (0, 0, 0)),
+    "lunes": (mb.sphere(cover="lunes"), (0, 0, 0)),
+    "paraboloid": (shapes.elliptic_paraboloid(capped=True), (0, 0, 0.5)),
+    "one sheet": (shapes.hyperboloid_one_sheet(capped=True), (0, 0, 0)),
+    "two sheets": (shapes.hyperboloid_two_sheets(capped=True), (0, 0, 1.6)),
+    "cone": (shapes.cone(capped=True), (0, 0, 0.3)),
+    "cylinder": (shapes.cylinder(capped=True), (0, 0, 0.5)),
+}
+
+
+def proportions(rng: Rng, scale: float) -> Iterator[Line]:
+    """Closed bodies a hundred to a million times as long as they are thick, from inside.
+
+    Those of even proportions have the same parameters along rays, and answer in float64.
+    """
+    for name, (body, middle) in _BODIES.items():
+        for ratio in (1e2, 1e4, 1e6):
+            count = scaled(100_000, scale)
+            left, right = (np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(2))
+            matrix = np.eye(4)
+            matrix[:3, :3] = left @ np.diag([ratio**0.5, 1.0, ratio**-0.5]) @ right
+            tracer = Tracer(body.transform(matrix))
+            at = rng.dirichlet([0.5, 0.5, 0.5], count)
+            edges = np.arange(0, count, 3)
+            at[edges, rng.integers(0, 3, len(edges))] = 0.0
+            at /= at.sum(axis=1, keepdims=True)
+            target = body.points(rng.integers(0, len(body), count), at[:, :2])
+            target = np.where(np.isfinite(target), target, middle)
+            start = middle + rng.uniform(-0.1, 0.1, size=(count, 3))
+            o, d = toward(start @ matrix[:3, :3].T, target @ matrix[:3, :3].T)
+            d[1::3] = unit(rng.normal(size=d[1::3].shape))
+            back = np.linalg.inv(matrix[:3, :3]).T
+            o_there, d_there = o @ back, d.astype(float) @ back
+            # rounding of origins is little where the body is thin
+            keep = np.flatnonzero(np.abs(o_there - middle).max(axis=1) < 0.15)
+            got = tracer(o[keep], d[keep])
+            escaped = ~got.valid | ~tracer(o[keep], d[keep], any_hit=True).valid
+            some = keep[: max(100, len(keep) // 50)]
+            length = np.linalg.norm(d_there[some], axis=1)
+            truth = first_hit(body, o_there[some], d_there[some] / length[:, None])
+            with np.errstate(invalid="ignore"):
+                off = np.abs(got.t[: len(some)] * length / truth.t - 1)
+            worst = float(off[np.isfinite(off) & truth.margin.decidable(PRECISION)].max(initial=0))
+            yield Line(
+                f"{name}, {ratio:.0e} : 1, turned",
+                len(keep),
+                "0 escapes, relative error 1e-06",
+                f"{int(escaped.sum())} escapes, relative {worst:.1e}",
+                not escaped.any() and worst <= 1e-6,
+                {"escapes": int(escaped.sum()), "relative error": worst},
+                describe(o[keep], d[keep], escaped),
+            )
+
+
+# ------------------------------------------------------------------ plane sectors
+
+
+def _sector(turn: float, angle: float, weight: float = 1.0, apex: float = 0.0) -> np.ndarray:
+    """Return the net of a sector of the unit circle, its apex moved back along its middle."""
+    half = angle / 2
+    ends = [np.array([np.cos(turn + x), np.sin(turn + x), 0, 1]) for x in (-half, half)]
+    arc = weight * np.array([np.cos(turn), np.sin(turn), 0, np.cos(half)])
+    a = np.array([-apex * np.cos(turn), -apex * np.sin(turn), 0, 1])
+    return np.array([ends[0], arc, (ends[0] + a) / 2, ends[1], (ends[1] + a) / 2, a])
+
+
+def sectors(rng: Rng, scale: float) -> Iterator[Line]:
+    """Plane sectors, also many in one plane and one set."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    grid = []
+    for k in range(16):
+        move = np.eye(4)
+        move[:2, 3] = 600 * (k % 4), 340 * (k // 4)
+        grid.append(_sector(k, 1.5) @ move.T)
+    sets = {
+        "fan of 20 sectors": [_sector(0.3 * k, 0.29) for k in range(20)],
+        "16 sectors, 300 sizes apart": grid,
+        "weight 0.01": [_sector(0.2, 1.5, 0.01)],
+        "weight 100": [_sector(0.2, 1.5, 100.0)],
+        "apex 100 sizes away": [_sector(0.5, 1.0, 1.0, 100.0)],
+    }
+    for name, nets in sets.items():
+        patches = BezierTriangles(np.array(nets)).transform(matrix)
+        count = scaled(100_000, scale)
+        which = rng.integers(0, len(patches), count)
+        at = rng.dirichlet([1.0, 1.0, 1.0], count) * 1.3 - 0.1
+        x, y, z, w = np.moveaxis(patches.evaluate(which, at[:, :2]), -1, 0)
+        target = np.stack([x, y, z], axis=1) / w[:, None]
+        size = np.ptp(patches[which[:1]].hulls().reshape(-1, 3), axis=0).max()
+        tracer = Tracer(patches)
+        o, d = toward(target + size * unit(rng.normal(size=target.shape)), target)
+        yield against_reference(name, tracer, o, d)
 
 
 # ------------------------------------------------------------------ random triangles
