@@ -6,8 +6,21 @@ import numpy as np
 
 
 def rotation(rng: np.random.Generator, n: int) -> np.ndarray:
-    q, _r = np.linalg.qr(rng.normal(size=(n, n)))
-    return q
+    """A random orthogonal matrix, the same on every machine.
+
+    Rows of integers, made orthogonal by elementary operations: LAPACK would round them in as many
+    ways as there are kernels, and in a seeded test each were another case.
+    """
+    rows: list[np.ndarray] = []
+    while len(rows) < n:
+        v = rng.integers(-9, 10, n).astype(float)
+        for _ in range(2):  # again, for what rounding left
+            for r in rows:
+                v = v - sum(v * r) * r
+        length = sum(v * v) ** 0.5
+        if length > 1:  # or nearly dependent of the rows before
+            rows.append(v / length)
+    return np.array(rows)
 
 
 def collineation(rng: np.random.Generator, n: int) -> np.ndarray:

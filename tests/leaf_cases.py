@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from drjit.llvm import Float
+from geometry_cases import rotation
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
@@ -17,7 +18,7 @@ from mitsuba_bezier.geometry.reference import first_hit
 from mitsuba_bezier.kernels.structure import Structure, build_structure
 from mitsuba_bezier.kernels.traverse import Hit, intersect
 
-TURN = np.linalg.qr(np.random.default_rng(21).normal(size=(3, 3)))[0]
+TURN = rotation(np.random.default_rng(21), 3)
 MOVE = np.eye(4)
 MOVE[:3, :3], MOVE[:3, 3] = TURN * [1, 2, 0.7], [0.3, -0.5, 0.8]
 #: Takes the plane z = -3 to infinity, and circles to other conics.

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from geometry_cases import rotation
 from surface_checks import implicit, parameters, unpaired_edges, volume, winding
 
 from mitsuba_bezier.errors import GeometryError
@@ -230,7 +231,7 @@ def test_double_cover_is_refused():
 def test_ellipsoid_cover(name):
     rng = np.random.default_rng(6)
     m = np.eye(4)
-    m[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ np.diag([0.5, 1, 2])
+    m[:3, :3] = rotation(rng, 3) @ np.diag([0.5, 1, 2])
     m[:3, 3] = [1, 2, 3]
     inverse = np.linalg.inv(m)
     a = inverse.T @ SPHERE @ inverse

@@ -7,6 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 from drjit.llvm import Float
+from geometry_cases import rotation
 from leaf_cases import (
     IMAGE,
     MOVE,
@@ -109,7 +110,7 @@ def test_next_to_a_pole(name, rounded):
     o = pole + [0, 0, 2] + 0.7 * rng.uniform(-1, 1, size=target.shape)
     if rounded:
         matrix = np.eye(4)
-        matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        matrix[:3, :3] = rotation(rng, 3)
         matrix[:3, 3] = [0.3, -0.5, 0.8]
         patches = patches.transform(matrix)
         patches = mb.BezierTriangles(patches.control_points.astype(np.float32))
@@ -309,7 +310,7 @@ def test_no_hit_is_lost_in_thin_directions():
     for k in range(12):
         matrix = np.eye(4)
         if k % 3 == 2:
-            matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+            matrix[:3, :3] = rotation(rng, 3)
         matrix[:3, :3] = np.roll(matrix[:3, :3], k, axis=0) * 10.0 ** rng.uniform(-1, 1)
         matrix[:3, 3] = rng.uniform(-1, 1, size=3)
         patches = SURFACES["disk"].transform(matrix)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from geometry_cases import rotation
 
 from mitsuba_bezier.errors import NetError
 from mitsuba_bezier.geometry.covers import tetrahedral
@@ -26,8 +27,8 @@ def parallel(a: np.ndarray, b: np.ndarray) -> float:
 
 def regular(rng: np.random.Generator) -> np.ndarray:
     """A collineation of condition at most 4."""
-    q, _ = np.linalg.qr(rng.normal(size=(4, 4)))
-    r, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+    q = rotation(rng, 4)
+    r = rotation(rng, 4)
     return q @ np.diag(rng.uniform(0.5, 2, 4)) @ r
 
 
@@ -163,7 +164,7 @@ def test_polynomial_triangles_on_paraboloids(q, name):
         p = rng.normal(size=(3, 2))
         net = np.array([[*(p[i] + p[j]) / 2, p[i] @ q @ p[j], 1] for i, j in ROWS])
         m = np.eye(4)
-        m[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ np.diag(rng.uniform(0.5, 2, 3))
+        m[:3, :3] = rotation(rng, 3) @ np.diag(rng.uniform(0.5, 2, 3))
         m[:3, 3] = rng.normal(size=3)
         found = characterize(2.5 * net @ m.T)
         assert found.polynomial and found.paraboloid == name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from geometry_cases import rotation
 from surface_checks import implicit
 
 from mitsuba_bezier.errors import GeometryError
@@ -53,7 +54,7 @@ def affine(rng: np.random.Generator, unit: float) -> np.ndarray:
     """A map of condition at most 10, with a shift by some units, to lengths of `unit`."""
     m = np.eye(4)
     for factor in (rng.uniform(0.5, 5, 3), np.ones(3)):
-        q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        q = rotation(rng, 3)
         m[:3, :3] = np.diag(factor) @ q @ m[:3, :3]
     m[:3, 3] = rng.normal(size=3)
     m[:3] *= unit
@@ -76,7 +77,7 @@ def test_types_do_not_depend_on_coordinates(name, projective, a):
 def test_projective_type_bears_collineations(name, projective, a):
     rng = np.random.default_rng(6)
     for _ in range(10):
-        q, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+        q = rotation(rng, 4)
         inverse = q @ np.diag(rng.uniform(0.5, 2, 4))
         b = inverse.T @ a @ inverse
         assert projective_type(-(b + b.T)) == projective
@@ -134,7 +135,7 @@ def test_normal_form_maps_the_normal_quadric(name, projective, a):
 
 
 def test_extreme_ellipsoids_are_ellipsoids():
-    q, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    q = rotation(np.random.default_rng(3), 3)
     for radii in ([1, 1, 3e4], [1, 3e4, 3e4], [1e-6] * 3, [1e6] * 3):
         for center in (np.zeros(3), np.array([3.0, 2, 1]) * radii[0]):
             b = q @ np.diag(1 / np.square(np.array(radii, dtype=float))) @ q.T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from geometry_cases import rotation
 from surface_checks import implicit, parameters
 
 from mitsuba_bezier.errors import BezierError, GeometryError, NetError
@@ -19,8 +20,8 @@ SPHERE = np.diag([1.0, 1, 1, -1])
 
 def collineation(rng: np.random.Generator, low: float = 0.5) -> np.ndarray:
     """A regular matrix of condition ``1 / low**2``."""
-    q, _ = np.linalg.qr(rng.normal(size=(4, 4)))
-    r, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+    q = rotation(rng, 4)
+    r = rotation(rng, 4)
     return q @ np.diag(rng.uniform(low, 1 / low, 4)) @ r
 
 
@@ -50,6 +51,20 @@ def independent_points(rng, s: np.ndarray) -> np.ndarray:
             return p
 
 
+#: Half a rounding for each stage of a number: S'A, S'AP, its product with P, three sums, a product
+#: with a Bernstein polynomial, five sums; and some four for the quadric that the points are on.
+BOUND = 10 * np.finfo(float).eps
+
+
+def net_terms(a: np.ndarray, s: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Return the sums of the sizes of all terms of the net of `quadric_patch`."""
+    a, s, p = np.abs(a), np.abs(s), np.abs(np.array(p))
+    pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    return np.array(
+        [(s @ a @ p[i]) * p[j] + (s @ a @ p[j]) * p[i] + (p[i] @ a @ p[j]) * s for i, j in pairs]
+    )
+
+
 def same_up_to_factor(a: np.ndarray, b: np.ndarray) -> float:
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     return float(min(np.abs(a - b).max(), np.abs(a + b).max()))
@@ -67,13 +82,17 @@ def test_patch_lies_on_its_quadric(signature, on_quadric):
         if not on_quadric:
             p = rng.normal(size=(3, 4))
         net = quadric_patch(a, s, p)
-        h = BezierTriangles(net)
         _, uv = parameters(rng, 1, 200)
-        # rounding of some ten operations on numbers of size 1..10, condition 4
-        assert implicit(a, h.evaluate(0, 3 * uv - 1)) < 1e-13
+        uv = 3 * uv - 1
+        x = BezierTriangles(net).evaluate(0, uv)
+        value = np.abs(np.einsum("ni,ij,nj->n", x, a, x))
+        terms = net_terms(a, s, p)
+        size = np.abs(bernstein.basis(2, uv)) @ terms
+        assert (value <= BOUND * np.einsum("ni,ij,nj->n", size, np.abs(a), size)).all()
         if on_quadric:
             for row, corner in zip((0, 3, 5), p):
-                assert same_up_to_factor(net[row], corner) < 1e-13
+                bound = BOUND * terms[row].max() / np.linalg.norm(net[row])
+                assert same_up_to_factor(net[row], corner) <= bound
 
 
 def test_boundary_conics_pass_through_the_center():

@@ -89,12 +89,13 @@ def _frame(name: str, points: np.ndarray) -> np.ndarray:
 
 def _whitening(points: np.ndarray, name: str) -> np.ndarray:
     """Return the matrix that makes the second moments of the (unit) points the identity."""
-    value, vector = np.linalg.eigh(points.T @ points)
-    if not value[0] > TOLERANCE * value[-1]:
+    # not by eigenvalues of the moments: those are squares, of which half of the digits are rounding
+    _u, size, axes = np.linalg.svd(points, full_matrices=False)
+    if not size[-1] > TOLERANCE * size[0]:
         raise GeometryError.expected(
             name, f"points that span all {points.shape[1]} dimensions", "dependent points"
         )
-    return (vector / np.sqrt(value)) @ vector.T
+    return (axes.T / size) @ axes
 
 
 def collineation(source: Any, target: Any) -> np.ndarray:

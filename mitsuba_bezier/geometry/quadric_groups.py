@@ -109,6 +109,9 @@ _ALIKE, _SAME = 1e-3, 5e-7
 #: `DEVIATION` is at most, and three times what they may be from their own.
 _WRONG = 1e-6
 
+#: No simple fraction.
+_ASIDE = 0.1234567
+
 #: Most patches in a group: its members are tried one after the other. More if all are inverted, for
 #: which there is a table of those that may have a point.
 _GROUP, _LARGEST_GROUP = 12, 16
@@ -212,7 +215,8 @@ def _middle_and_scale(centre: np.ndarray, size: np.ndarray) -> tuple[np.ndarray,
 
 def _labels(flat: np.ndarray, unit: float) -> np.ndarray:
     """Number rows of numbers: equal ones, up to a unit, are mostly alike."""
-    _values, label = np.unique(np.round(flat / unit), axis=0, return_inverse=True)
+    # moved, as fractions such as 1/64 would lie halfway: a rounding would decide
+    _values, label = np.unique(np.round(flat / unit + _ASIDE), axis=0, return_inverse=True)
     return label.reshape(-1)
 
 

@@ -48,11 +48,10 @@ def has_area(nets: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         points = nets[..., :3] / nets[..., 3:]
     points = points - points.mean(axis=1, keepdims=True)
-    gram = np.einsum("pki,pkj->pij", points, points)
-    good = np.isfinite(gram).all(axis=(1, 2)) & (nets[..., 3] > 0).all(axis=1)
-    values = np.linalg.eigvalsh(np.where(good[:, None, None], gram, np.eye(3)))
-    # squares: 3e-8 of the length, what rounding makes of a line
-    return ~good | (values[:, 1] > 1e-15 * values[:, 2])
+    good = np.isfinite(points).all(axis=(1, 2)) & (nets[..., 3] > 0).all(axis=1)
+    size = np.linalg.svd(np.where(good[:, None, None], points, 0.0), compute_uv=False)
+    # 3e-8 of the length: what rounding of float32 makes of a line
+    return ~good | (size[:, 1] > 3e-8 * size[:, 0])
 
 
 def fan(corners: np.ndarray) -> np.ndarray | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import BezierError
 from ..geometry import bernstein
+from ..geometry.linear import SINGULAR, hadamard_ratio
 from ..kernels.patch import bernstein_basis
 
 __all__ = ["check_attribute", "check_texcoords", "is_attribute", "make_attribute_class"]
@@ -102,7 +103,8 @@ def to_parameters(texcoords: np.ndarray, name: str) -> np.ndarray:
     """
     c = texcoords[:, 2]
     matrix = np.stack([texcoords[:, 0] - c, texcoords[:, 1] - c], axis=2)
-    flat = np.linalg.det(matrix) == 0
+    # 1e-12 of the sine: what rounding leaves of three corners on one line
+    flat = ~(hadamard_ratio(matrix) > SINGULAR)
     if flat.any():
         patch = int(np.flatnonzero(flat)[0])
         raise BezierError.expected(
