@@ -67,7 +67,9 @@ def test_boxes_are_those_of_the_surface(cover, matrix):
     check(surface_boxes(patches.control_points, together=True)[0], right)
     net, patch = finite_parts(patches.control_points)
     assert set(patch) == set(range(len(patches)))
-    assert (np.sign(net[..., 3]) == np.sign(net[:, :1, 3])).all()
+    w = net[..., 3]
+    assert (w.min(axis=1) * w.max(axis=1) >= 0).all() and (w.any(axis=-1)).all()
+    assert not net[w == 0].any()  # zero vectors add nothing
 
 
 def test_each_patch_has_its_own_box():
@@ -109,6 +111,27 @@ def test_sides_where_surfaces_reach_infinity_are_infinite(sign):
     assert which.any() and not np.isfinite(union(torn.bounds())).any()
     assert (np.isinf(torn.area()) == which).all()
     assert np.isfinite(torn.bounds()[~which]).all()
+
+
+def test_a_zero_vector_among_the_control_points_is_not_infinity():
+    """A base point at a corner: the square 0..1 x 0..1 as one triangle, with four sides."""
+    # x = u / (u + v) along the side at the corner w = 1, a line of points for one parameter
+    net = np.zeros((1, 6, 4))
+    ijk = bernstein.multi_indices(2)
+    for (i, j, k), point in (
+        ((2, 0, 0), (1, 1)), ((1, 1, 0), (0.5, 1)), ((0, 2, 0), (0, 1)),
+        ((1, 0, 1), (1, 0)), ((0, 1, 1), (0, 0)),
+    ):  # fmt: skip
+        net[0, (ijk == (i, j, k)).all(axis=1)] = *point, 0, 1
+    patches = mb.BezierTriangles(net)
+    assert not reaches_infinity(net).any() and np.isfinite(patches.area()).all()
+    box = patches.bounds()[0]
+    uv = np.random.default_rng(1).dirichlet([0.3] * 3, 5000)[:, :2]
+    points = patches.points(np.zeros(len(uv), dtype=int), uv)
+    assert (box[0] <= points.min(axis=0)).all() and (box[1] >= points.max(axis=0)).all()
+    assert np.abs(box - [[0, 0, 0], [1, 1, 0]]).max() < 2 * TIGHT
+    shape = mi.load_dict({**bezier(patches), "copies": tensor(np.eye(4)[None, :3])})
+    assert np.allclose(shape.bbox().max, [1, 1, 0], atol=2 * TIGHT)
 
 
 def test_boxes_of_scenes():

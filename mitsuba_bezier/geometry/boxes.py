@@ -51,8 +51,13 @@ def hull_boxes(nets: np.ndarray) -> np.ndarray:
 
 
 def _one_sign(nets: np.ndarray) -> np.ndarray:
+    """Tell which nets have weights of one sign; zero vectors add nothing to a point."""
     w = nets[..., 3]
-    return np.asarray((w > 0).all(axis=1) | (w < 0).all(axis=1))
+    one = np.asarray((w > 0).all(axis=1) | (w < 0).all(axis=1))
+    if not one.all():
+        none = ~nets.any(axis=-1)
+        one |= ((w > 0) | none).all(axis=1) | ((w < 0) | none).all(axis=1)
+    return one
 
 
 def _corners(nets: np.ndarray) -> np.ndarray:
@@ -99,6 +104,7 @@ def finite_parts(nets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     -------
     parts : (Q, K, 4) array
         Of all patches that do not reach infinity; those whose weights have one sign are as given.
+        Zero vectors may be among their control points.
     patch : (Q,) int array
         The patches they belong to; one that reaches infinity has none.
     """

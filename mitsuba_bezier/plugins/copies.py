@@ -88,6 +88,7 @@ def copy_boxes(patches: BezierTriangles, matrices: np.ndarray) -> np.ndarray:
     if reaches_infinity(patches.control_points).any():
         raise BezierError.expected("copies", "patches of finite size", "points at infinity")
     net = finite_parts(patches.control_points)[0].reshape(-1, 4)
+    net = net[net[:, 3] != 0]  # zero vectors are no points
     points = net[:, :3] / net[:, 3:]
     # the extreme points in some directions, and the boxes of patches, would do; all are few
     out = np.empty((len(matrices), 2, 3))
