@@ -125,7 +125,8 @@ def _captured() -> Iterator[list[str]]:
     """
     lines: list[str] = []
     with contextlib.redirect_stdout(io.StringIO()), tempfile.TemporaryFile() as file:
-        sys.stderr.flush()
+        if sys.stderr is not None:
+            sys.stderr.flush()
         saved = os.dup(2)
         os.dup2(file.fileno(), 2)
         try:
