@@ -33,6 +33,7 @@ ROWS = {
     "collineations": accuracy_rows.collineations,
     "leaks": accuracy_rows.leaks,
     "proportions": accuracy_rows.proportions,
+    "factors": accuracy_rows.factors,
     "sectors": accuracy_rows.sectors,
     "random": accuracy_rows.random_triangles,
     "models": accuracy_rows.models,

@@ -31,6 +31,7 @@ from mitsuba_bezier.geometry.triangulations import triangulated
 
 __all__ = [
     "collineations",
+    "factors",
     "infinity",
     "leaks",
     "models",
@@ -241,6 +242,38 @@ def proportions(rng: Rng, scale: float) -> Iterator[Line]:
                 {"escapes": int(escaped.sum()), "relative error": worst},
                 describe(o[keep], d[keep], escaped),
             )
+
+
+# ------------------------------------------------------------------ factors of nets
+
+
+def factors(rng: Rng, scale: float) -> Iterator[Line]:
+    """Nets times 1e-300 to 1e300, of either sign, another for each patch: as those without."""
+    count = scaled(300_000, scale)
+    for name, patches in (
+        ("octants", mb.sphere()),
+        ("tetrahedral", mb.sphere(cover="tetrahedral")),
+        ("torus", shapes.torus()),
+    ):
+        sign = rng.choice([-1.0, 1.0], len(patches))
+        by = (sign * 10 ** rng.uniform(-300, 300, len(patches)))[:, None, None]
+        one, other = (Tracer(BezierTriangles(patches.control_points * f)) for f in (1.0, by))
+        o, d = at_random(rng, count, ball=3.0)
+        a, b = one(o, d), other(o, d)
+        with np.errstate(invalid="ignore"):  # of misses
+            moved = np.abs(a.t - b.t) > 2e-5 * np.maximum(a.t, 1)
+        # where a ray grazes, a rounding decides: those in a million that change, and no more
+        changed = (a.valid != b.valid) | (a.valid & b.valid & moved)
+        allowed = count // 100_000
+        yield Line(
+            f"{name}, factors 1e-300 to 1e300",
+            count,
+            f"at most {allowed} changed (rays that graze)",
+            f"{int(changed.sum())} changed",
+            int(changed.sum()) <= allowed,
+            {"changed": int(changed.sum())},
+            describe(o, d, changed),
+        )
 
 
 # ------------------------------------------------------------------ plane sectors

@@ -13,6 +13,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.geometry.proper_nets import free_of_factor, spans_area
+from mitsuba_bezier.plugins.contours import contour_segments, edge_segments
 
 GOOD = [[-1, -1, 0.2], [1, -1, 0.2], [0, 1, 0.2]]
 
@@ -246,6 +247,16 @@ def test_emitters_need_a_surface():
     assert np.isfinite(np.array(ps.p)).all()
     # the triangle has an area of two
     assert np.allclose(ps.pdf, 0.5, rtol=1e-5)
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_have_no_outline():
+    point = mb.BezierTriangles(planar(2, [[1, 2, 3]] * 3))
+    assert len(edge_segments(point)) == len(contour_segments(point, np.array([0, -5.0, 0]))) == 0
+    ball = mb.sphere(cover="tetrahedral")
+    both = mb.BezierTriangles(np.concatenate([point.control_points, ball.control_points]))
+    found = contour_segments(both, np.array([0, -5.0, 0]))
+    assert len(edge_segments(both)) == 0 and len(found) > 100 and found.patch.min() > 0
 
 
 def test_rough_nets_are_surfaces():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.proper_nets import spans_area
 from ..geometry.triangles import BezierTriangles
 
 __all__ = ["Segments", "contour_segments", "edge_segments", "open_edges"]
@@ -118,7 +119,7 @@ def contour_segments(patches: BezierTriangles, eye: np.ndarray) -> Segments:
     length = np.linalg.norm(end - start, axis=1)
     finite = np.isfinite(length)
     extent = np.ptp(start[finite], axis=0).max() if finite.any() else 0.0
-    good = finite & (length > 1e-7 * extent)
+    good = finite & (length > 1e-7 * extent) & spans_area(patches.control_points)[patch]
     return Segments(patch[good], a[good], b[good], np.zeros(good.sum(), dtype=bool))
 
 
@@ -172,7 +173,7 @@ def open_edges(patches: BezierTriangles, creases: bool = True) -> np.ndarray:
     ).reshape(3 * count, len(t), 3)
     finite = np.isfinite(points).all(axis=(1, 2))
     box = points[finite].reshape(-1, 3)
-    extent = float(np.ptp(box, axis=0).max()) if len(box) else 1.0
+    extent = (float(np.ptp(box, axis=0).max()) if len(box) else 0.0) or 1.0
     length = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
     usable = finite & (length > 1e-6 * extent)
 
