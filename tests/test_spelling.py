@@ -67,6 +67,21 @@ def test_in_place_of_what_is_needed(properties, slip, name):
     assert f"unknown parameter '{slip}'; did you mean '{name}'?" in line
 
 
+def test_nothing_of_the_parser_stands_before():
+    with pytest.raises(RuntimeError) as error:
+        mi.load_dict(bezier(flip_normal=True))
+    assert str(error.value) == (
+        'At dictionary node "root": BezierError: beziertriangle: unknown parameter '
+        "'flip_normal'; did you mean 'flip_normals'?"
+    )
+    with pytest.raises(RuntimeError) as error:
+        mi.load_dict({"type": "scene", "a": bezier(control_points=3)})
+    assert str(error.value).startswith('At dictionary node "a": NetError: control_points: expected')
+    # what is not ours stays as it was
+    with pytest.raises(RuntimeError, match='property in shape plugin of type "sphere"'):
+        mi.load_dict({"type": "sphere", "radus": 3})
+
+
 def test_without_any_likeness_all_are_listed():
     with pytest.raises(RuntimeError, match="unknown parameter 'wibble'; its parameters are cont"):
         mi.load_dict(bezier(wibble=1.0))

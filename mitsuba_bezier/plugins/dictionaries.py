@@ -6,6 +6,7 @@ parameters of a `beziertriangle`: they become tensors on the way.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import wraps
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from .. import errors
 from ..errors import NetError
 from ..geometry.triangles import BezierTriangles
 from .frozen import is_bezier
@@ -67,6 +69,19 @@ def _has_ours(scene: Any) -> bool:
     return scene.get("type") == SHAPE or any(_has_ours(value) for value in scene.values())
 
 
+def _plain(message: str) -> str | None:
+    """Return what an error of ours says, without what Mitsuba's parser puts before it.
+
+    That begins with an "unknown plugin", since the type of a plugin in Python is not known
+    there, and holds a traceback. None if it is no error of ours.
+    """
+    found = re.search(r"^(?:\[\S+\] )?(At [^\n]*?): failed to instantiate [^\n]*Traceback", message)
+    last = message.strip().splitlines()[-1]
+    if found and re.match(rf"(?:{'|'.join(errors.__all__)}): ", last):
+        return f"{found[1]}: {last}"
+    return None
+
+
 def install() -> None:
     """Let `mi.load_dict` take nets; once is enough."""
     own = getattr(mi, "load_dict", None)  # not there before a variant is set
@@ -79,7 +94,13 @@ def install() -> None:
             # Mitsuba merges meshes in an order that differs from load to load, and with it the
             # numbers of emitters: equal seeds would give other images
             kwargs["optimize"] = False
-        return own(with_tensors(dict), *args, **kwargs)
+        try:
+            return own(with_tensors(dict), *args, **kwargs)
+        except RuntimeError as error:
+            message = _plain(str(error))
+            if message is None:
+                raise
+            raise RuntimeError(message) from None
 
     load_dict.takes_nets = True  # type: ignore[attr-defined]
     mi.load_dict = load_dict
