@@ -3,12 +3,15 @@
     python benchmarks/fuzz_readers.py --minutes 10
 
 Hypothesis mutates valid files of each format (bytes changed, parts removed, repeated, exchanged,
-numbers replaced by large, negative or strange ones) and makes garbage. A case passes if the file
-is read, or refused with a `FileFormatError`. Everything else is a failure: another exception, more
-than 10 s, more than 3 GiB of address space beyond what the imports took, a crash. Each format has
-a process of its own. CAD and Rhino files (extras ``[cad]`` and ``[rhino]``; left out if those are
-missing) are read in a child process each, as users read them: the libraries do crash and hang,
-which `isolated` turns into an error. Such cases are shown as *died*; they have passed.
+numbers replaced by large, negative or strange ones) and makes garbage; the small files of
+`tests/bombs.py` that ask for much come first. A case passes if the file is read, or refused with
+an error of ours. Everything else is a failure: another exception, more than 10 s of the processor,
+more than 1 GiB of address space beyond what the imports took, a crash. Each format has a process
+of its own. CAD, Rhino and finite element files (extras ``[cad]``, ``[rhino]``, ``[mesh]``; left out
+if those are missing) are read in a child process each, as users read them: the libraries do crash
+and hang, which `isolated` turns into an error. Such cases are shown as *died*; they have passed.
+``xml`` are scenes: they are checked as ``render`` does it, and read by Mitsuba's parser; ``toml``
+are limits.
 """
 
 from __future__ import annotations
@@ -34,16 +37,22 @@ from hypothesis import strategies as st
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import io
-from mitsuba_bezier.errors import FileFormatError
+from mitsuba_bezier.cli._scene_xml import check_xml
+from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.geometry.trims import Trims, closed_region, square_map
-from mitsuba_bezier.io import cad, rhino
+from mitsuba_bezier.io import cad, meshes, rhino
+from mitsuba_bezier.verification.thresholds import Thresholds
 
-FORMATS = ("vtu", "bv", "bez", "bbp", "off", "obj", "msh", "step", "iges", "brep", "3dm")
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import bombs
+
+FORMATS = ("vtu", "bv", "bez", "bbp", "off", "obj", "msh", "toml", "xml")
+FORMATS += ("inp", "bdf", "mesh", "step", "iges", "brep", "3dm")
 #: Read in a child process.
-ISOLATED = ("step", "iges", "brep", "3dm")
-#: Seconds a case may take.
+ISOLATED = ("xml", "inp", "bdf", "mesh", "step", "iges", "brep", "3dm")
+#: Processor seconds and bytes a case may take.
 LIMIT = 10
-MEMORY = 3 << 30
+MEMORY = 1 << 30
 
 #: What replaces a number in a file.
 NUMBERS = (
@@ -139,8 +148,32 @@ def rhino_seeds(folder: Path) -> list[bytes]:
     return [path.read_bytes()]
 
 
+def other_seeds() -> dict[str, list[bytes]]:
+    """Return meshes of finite elements, limits, and scenes."""
+    corners = ((0, 0, 0), (1, 0, 0), (1, 1, 0.5), (0, 1, 0))
+    rows = [(k, *c) for k, c in enumerate(corners, start=1)]
+    inp = "*NODE\n" + "".join("{}, {}, {}, {}\n".format(*r) for r in rows)
+    inp += "*ELEMENT, TYPE=S3, ELSET=all\n1, 1, 2, 3\n2, 1, 3, 4\n*NSET, NSET=a\n1, 2\n"
+    bdf = "BEGIN BULK\n" + "".join("GRID,{},,{:.1f},{:.1f},{:.1f}\n".format(*r) for r in rows)
+    bdf += "CTRIA3,1,1,1,2,3\nCTRIA3,2,1,1,3,4\nENDDATA\n"
+    mesh = "MeshVersionFormatted 2\nDimension 3\nVertices\n4\n"
+    mesh += "".join(f"{x} {y} {z} 0\n" for x, y, z in corners)
+    mesh += "Triangles\n2\n1 2 3 0\n1 3 4 0\nEnd\n"
+    toml = '[default]\nrmse = 1e-3\nallow_nan = false\n[images."a/*"]\nflip = 0.02\n'
+    xml = (
+        '<scene version="3.0.0"><default name="n" value="16"/><integrator type="path"/>'
+        '<sensor type="perspective"><film type="hdrfilm"><integer name="width" value="$n"/></film>'
+        '</sensor><shape type="sphere"><float name="radius" value="2.5"/>'
+        '<transform name="to_world"><translate x="1" y="2" z="3"/></transform></shape></scene>'
+    )
+    found = {"inp": inp, "bdf": bdf, "mesh": mesh, "toml": toml, "xml": xml}
+    return {name: [text.encode()] for name, text in found.items()}
+
+
 def seeds(name: str, folder: Path) -> list[bytes]:
     """Return valid files of a format."""
+    if name in other_seeds():
+        return other_seeds()[name]
     if name == "vtu":
         return vtu_seeds(folder)
     if name in ("step", "iges", "brep"):
@@ -205,18 +238,39 @@ def damaged(draw: st.DrawFn, valid: list[bytes]) -> bytes:
 # ---------------------------------------------------------------------------- one format
 
 
+def read(name: str, path: Path) -> list[mb.BezierTriangles]:
+    """Read a file in this process."""
+    if name == "toml":
+        Thresholds.load(path)
+        return []
+    if name == "xml":
+        check_xml(path, [path.parent])
+        import mitsuba as mi
+
+        try:
+            mi.parser.parse_file(mi.parser.ParserConfig("scalar_rgb"), str(path))
+        except RuntimeError as error:  # `render` makes it an error of ours
+            raise BezierError(" ".join(str(error).split())) from None
+        return []
+    reader = {"3dm": rhino, "inp": meshes, "bdf": meshes, "mesh": meshes}.get(name, cad)
+    if name in ISOLATED:
+        return reader.read_here(path, trims=True).groups
+    return io.read(path, trims=True).groups
+
+
 def in_child(name: str, path: Path) -> tuple[str, str]:
-    """Read a CAD or Rhino file in a fork of this process; return what came, and what was wrong."""
-    reader = rhino if name == "3dm" else cad
+    """Read a file in a fork of this process; return what came, and what was wrong."""
     receive, send = os.pipe()
     child = os.fork()
     if child == 0:
         what = "read"
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(LIMIT)
+        resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        os.dup2(1, 2)
         try:
-            reader.read_here(path, trims=True)
-        except FileFormatError as error:
+            read(name, path)
+        except BezierError as error:
             what = "refused" if "\n" not in str(error) else "failed an error of several lines"
         except BaseException as error:
             frame = traceback.extract_tb(error.__traceback__)[-1]
@@ -241,14 +295,17 @@ def work(name: str, seconds: float, first_seed: int) -> None:
     def late(_number: int, _frame: object) -> None:
         raise Hang
 
-    signal.signal(signal.SIGALRM, late)
+    signal.signal(signal.SIGPROF, late)
+    if name == "xml":
+        import mitsuba as mi
+
+        mi.set_variant("scalar_rgb")
     with tempfile.TemporaryDirectory() as folder:
         valid = seeds(name, Path(folder))
         path = Path(folder) / f"case.{name}"
         for data in valid:
             path.write_bytes(data)
-            reader = {"3dm": rhino.read_here}.get(name, cad.read_here)
-            (reader if name in ISOLATED else io.read)(path)  # imports the library, once
+            read(name, path)  # imports the library, once
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         soft = pages * resource.getpagesize() + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (soft, resource.RLIM_INFINITY))
@@ -268,25 +325,27 @@ def work(name: str, seconds: float, first_seed: int) -> None:
                 note(data, kind, what)
                 return
             kind = "failed"
-            signal.setitimer(signal.ITIMER_REAL, LIMIT)
+            signal.setitimer(signal.ITIMER_PROF, LIMIT)
             try:
-                groups = io.read(path, trims=True).groups
+                groups = read(name, path)
                 kind = "read"
                 finite = all(np.isfinite(g.control_points).all() for g in groups)
                 what = "" if finite else "control points that are not finite"
-            except FileFormatError as error:
+            except BezierError as error:
                 kind = "refused"
                 what = "" if "\n" not in str(error) else "an error of several lines"
             except Hang:
-                what = f"longer than {LIMIT} s"
+                what = f"longer than {LIMIT} s of the processor"
             except Exception as error:
                 frame = traceback.extract_tb(error.__traceback__)[-1]
                 what = f"{type(error).__name__} in {Path(frame.filename).name}:{frame.lineno}"
                 what += f": {str(error)[:100]}"
             finally:
-                signal.setitimer(signal.ITIMER_REAL, 0)
+                signal.setitimer(signal.ITIMER_PROF, 0)
             note(data, kind, what)
 
+        for bomb in (b for b in bombs.BOMBS if b.endswith(f".{name}")):
+            case(bombs.write(bomb, Path(folder)).read_bytes())
         number = first_seed
         while time.monotonic() < end:
             number += 1
