@@ -249,7 +249,7 @@ def read(name: str, path: Path) -> list[mb.BezierTriangles]:
 
         try:
             mi.parser.parse_file(mi.parser.ParserConfig("scalar_rgb"), str(path))
-        except RuntimeError as error:  # `render` makes it an error of ours
+        except (RuntimeError, UnicodeDecodeError) as error:  # `render` makes it one of ours
             raise BezierError(" ".join(str(error).split())) from None
         return []
     reader = {"3dm": rhino, "inp": meshes, "bdf": meshes, "mesh": meshes}.get(name, cad)
@@ -309,7 +309,7 @@ def work(name: str, seconds: float, first_seed: int) -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         soft = pages * resource.getpagesize() + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (soft, resource.RLIM_INFINITY))
-        end = time.monotonic() + seconds
+        end = float("inf")
 
         def note(data: bytes, kind: str, what: str) -> None:
             counts["failed" if what else kind] += 1
@@ -346,6 +346,7 @@ def work(name: str, seconds: float, first_seed: int) -> None:
 
         for bomb in (b for b in bombs.BOMBS if b.endswith(f".{name}")):
             case(bombs.write(bomb, Path(folder)).read_bytes())
+        end = time.monotonic() + seconds
         number = first_seed
         while time.monotonic() < end:
             number += 1
