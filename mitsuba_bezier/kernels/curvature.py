@@ -1,4 +1,4 @@
-"""Second partials of patches, for the partials of the normal."""
+"""Evaluation of patches from their Bernstein nets, with first and second partials."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ def evaluate_second(
     """Evaluate homogeneous points, first and second partials.
 
     From the six points ``q`` of the last de Casteljau step but one: the second partials are
-    ``n (n-1)`` times their second differences.
+    ``n (n-1)`` times their second differences. From the three points ``c`` of the last one the
+    value is ``u c_0 + v c_1 + w c_2``, the first partials are ``n (c_0 - c_2)`` and
+    ``n (c_1 - c_2)``. Bernstein form: convex combinations, no cancellation.
 
     Parameters
     ----------
     buffer : Float
-        Nets, as `kernels.patch.evaluate` takes them.
+        Nets, `kernels.patch.padded_width` floats each.
     n : int
         Degree.
     patch : UInt

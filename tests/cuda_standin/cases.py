@@ -29,7 +29,7 @@ from mitsuba_bezier.geometry.trims import Trims, square_map
 from mitsuba_bezier.kernels import batch
 from mitsuba_bezier.kernels.copies import build_copies, intersect_copies
 from mitsuba_bezier.kernels.curvature import affine_second_partials, evaluate_second
-from mitsuba_bezier.kernels.patch import affine_partials, evaluate, pack
+from mitsuba_bezier.kernels.patch import affine_partials, pack
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.kernels.trim_table import build_table
@@ -175,7 +175,8 @@ def _points(like: Any) -> dict[str, np.ndarray]:
     uv = rng.dirichlet((1, 1, 1), COUNT)
     patch = dr.uint32_array_t(like)(rng.integers(0, len(patches), COUNT).astype(np.uint32))
     u, v = (like(np.ascontiguousarray(uv[:, k], dtype=np.float32)) for k in range(2))
-    first = affine_partials(*evaluate(nets, patches.degree, patch, u, v))
+    f64 = dr.float64_array_t(like)  # as hits are
+    first = affine_partials(*evaluate_second(nets, patches.degree, patch, f64(u), f64(v))[:3])
     second = affine_second_partials(evaluate_second(nets, patches.degree, patch, u, v))
     values = [x for y in (*first, *second) for x in y]
     dr.eval(values)
