@@ -1,8 +1,8 @@
-"""Write down what Dr.Jit generates for whole scenes in CUDA variants; nothing is run.
+"""Write down what Dr.Jit generates for whole scenes in CUDA variants; little of it is run.
 
     python -m cuda_standin.scenes FOLDER CASE ...
 
-with the environment of `standin.environment`, and no translator.
+with the environment of `standin.environment`, with `some`: OptiX, calls and atomics are not run.
 """
 
 from __future__ import annotations

@@ -50,7 +50,9 @@ class StandIn:
         words = ["gcc", "-O1", "-shared", "-fPIC", "-o", target, source, "-ldl", "-lpthread"]
         subprocess.run(words, check=True)
 
-    def environment(self, runs: bool = True, rough: bool = False) -> dict[str, str]:
+    def environment(
+        self, runs: bool = True, rough: bool = False, some: bool = False
+    ) -> dict[str, str]:
         """Return the variables of a process that takes the stand-in for CUDA.
 
         Parameters
@@ -59,6 +61,8 @@ class StandIn:
             Whether kernels are run, on the CPU; otherwise they are only written down.
         rough : bool
             Whether results of float32 instructions are off by as much as they may be.
+        some : bool
+            Whether kernels that the translator does not understand are left out.
         """
         result = {
             **os.environ,
@@ -70,6 +74,8 @@ class StandIn:
         }
         if runs:
             result["CUDA_STANDIN_TRANSLATE"] = f"'{sys.executable}' '{HERE / 'translate.py'}'"
+        if some:
+            result["CUDA_STANDIN_SOME"] = "1"
         if rough:
             result["CUDA_STANDIN_ROUGH"] = "1"
         return result
