@@ -387,5 +387,5 @@ def test_closest_and_pull_back():
     # the edge v = 1 of the patch is a curve on it
     edge = net[:, 0]
     t = np.linspace(0, 1, 7)
-    back = pulled_back(surface, axes, edge)[0](t)
+    back = pulled_back(surface, axes, edge[None])[0][0](t)
     np.testing.assert_allclose(back, np.column_stack([2 * t, np.ones(7)]), atol=1e-7)

@@ -53,7 +53,7 @@ def test_curve_across_the_seam_goes_on(shape, height, start, stop):
     radius = 2.0 if shape is cylinder else np.sqrt(1 - height**2)
     curve = bow(start, stop, radius, height)
     axes = grid_axes(grid)
-    place, off = pulled_back(grid, axes, curve)
+    (place,), off = pulled_back(grid, axes, curve[None])
     t = np.linspace(0, 1, 50)
     uv = place(t)
     # 1e-13: rounding of lengths near 2
@@ -73,7 +73,7 @@ def test_curve_from_a_pole_keeps_its_meridian(angle):
     c, s, w = piece.T
     curve = np.column_stack([c * np.cos(angle), c * np.sin(angle), s, w])
     grid = ball()
-    place, off = pulled_back(grid, grid_axes(grid), curve)
+    (place,), off = pulled_back(grid, grid_axes(grid), curve[None])
     uv = place(np.linspace(0, 1, 20))
     assert off < 1e-13 and np.ptp(uv[:, 0]) < 1e-6
     assert uv[-1, 1] == pytest.approx(np.pi / 2, abs=1e-6)
@@ -81,7 +81,7 @@ def test_curve_from_a_pole_keeps_its_meridian(angle):
 
 def test_distance_from_the_surface_is_told():
     grid = cylinder()
-    _place, off = pulled_back(grid, grid_axes(grid), bow(0.2, 1.4, 2.01, 1.0))
+    _places, off = pulled_back(grid, grid_axes(grid), bow(0.2, 1.4, 2.01, 1.0)[None])
     assert off == pytest.approx(0.01, rel=1e-9)
 
 
@@ -95,7 +95,7 @@ def test_curve_at_the_side_of_an_open_surface():
     waves[..., 3] = 1
     grid = PatchGrid(waves, np.array([0.0, 1]), np.array([0.0, 1]))
     curve = waves[0, 0, :, 0]
-    place, off = pulled_back(grid, grid_axes(grid), curve)
+    (place,), off = pulled_back(grid, grid_axes(grid), curve[None])
     t = np.linspace(0, 1, 30)
     assert off < 1e-14
     np.testing.assert_allclose(place(t), np.column_stack([t, 0 * t]), atol=1e-9)

@@ -8,6 +8,7 @@ is the curve. On a surface that is closed it may leave the period in which it be
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from .nurbs_surface import PatchGrid, bezier_points
 
 __all__ = ["foot_points", "grid_axes", "pulled_back"]
 
-#: Places along a curve at which feet are sought; between them they are found from neighbours.
-_PLACES = 33
+#: Places on each piece of a curve whose feet are found.
+_PLACES = 65
+#: Places on a curve at which the nearest point is sought on all of the surface.
+_SOUGHT = 65
 #: Starts for each of them.
 _STARTS = 5
 
@@ -55,7 +58,7 @@ def _wrapped(uv: np.ndarray, axes: ClosedAxes) -> np.ndarray:
 
 
 def foot_points(
-    grid: PatchGrid, axes: ClosedAxes, points: np.ndarray, guess: np.ndarray
+    grid: PatchGrid, axes: ClosedAxes, points: np.ndarray, guess: np.ndarray, steps: int = 60
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return parameters ``(N, 2)`` of the nearest points of a surface, near guesses.
 
@@ -67,6 +70,8 @@ def foot_points(
         Along a closed axis the parameters go on beyond the period.
     points, guess : (N, 3) and (N, 2) arrays
         The points, and where to start.
+    steps : int
+        At most so many: a start far off takes some twenty, a good one three.
 
     Returns
     -------
@@ -75,12 +80,11 @@ def foot_points(
     open_axis = axes.period == 0
     low, high = np.where(open_axis, grid.domain.T, [[-np.inf] * 2, [np.inf] * 2])
     uv = np.clip(guess, low, high)
-    damping = np.full(len(uv), 1e-4)
+    damping = np.full(len(uv), 1e-4 if steps > 3 else 1e-10)
     p, du, dv = grid.jet(_wrapped(uv, axes))
     r = points - p
     square = np.einsum("ni,ni->n", r, r)
-    # to the last bits: a start far off takes some twenty steps, a good one three
-    for _ in range(60):
+    for _ in range(steps):
         j = np.stack([du, dv], axis=1)
         normal = j @ np.swapaxes(j, 1, 2)
         slope = np.einsum("nai,ni->na", j, r)
@@ -132,52 +136,92 @@ def _starts(grid: PatchGrid, points: np.ndarray) -> np.ndarray:
 
 
 def pulled_back(
-    grid: PatchGrid, axes: ClosedAxes, curve: np.ndarray
-) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """Return the map from parameters ``(N,)`` of a curve on a surface to ``(N, 2)``.
+    grid: PatchGrid, axes: ClosedAxes, curves: np.ndarray
+) -> tuple[list[Callable[[np.ndarray], np.ndarray]], float]:
+    """Return the maps from parameters ``(N,)`` of the pieces of a curve on a surface to ``(N, 2)``.
 
     Parameters
     ----------
     grid : PatchGrid
     axes : ClosedAxes
-    curve : (n+1, 4) array
-        A rational Bézier curve.
+    curves : (S, n+1, 4) array
+        A chain of rational Bézier curves.
 
     Returns
     -------
-    place : callable
+    places : list of callable
+        One for each piece. They interpolate feet at 65 places and go on from there, with three
+        steps: exact to rounding.
     off : float
         How far the curve is from the surface, at most.
     """
     t = np.linspace(0, 1, _PLACES)
-    points = bezier_points(curve, t)
+    points = np.concatenate([bezier_points(curve, t) for curve in curves])
+    # a long chain has a few places on each piece where feet are sought everywhere
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(len(points), _SOUGHT)).astype(int))
+    coarse = _feet(grid, axes, points[chosen])
+    every = np.arange(len(points))
+    guess = np.stack([np.interp(every, chosen, coarse[:, axis]) for axis in range(2)], axis=1)
+    table, gap = foot_points(grid, axes, points, guess)
+    # where going on from neighbours has found another place than the nearest
+    lost = gap > np.interp(every, chosen, gap[chosen]) + 1e-6 * grid.size
+    if lost.any():
+        sought = np.union1d(chosen, np.flatnonzero(lost))
+        guess[sought] = _feet(grid, axes, points[sought])
+        table, gap = foot_points(grid, axes, points, guess)
+    _smooth_poles(grid, axes, table)
+    parts = table.reshape(len(curves), _PLACES, 2)
+    maps: list[Callable[[np.ndarray], np.ndarray]] = [
+        partial(_foot, grid, axes, curve, part) for curve, part in zip(curves, parts)
+    ]
+    return maps, float(gap.max())
+
+
+def _foot(
+    grid: PatchGrid, axes: ClosedAxes, curve: np.ndarray, table: np.ndarray, s: np.ndarray
+) -> np.ndarray:
+    return foot_points(grid, axes, bezier_points(curve, s), _interpolated(table, s), 3)[0]
+
+
+def _interpolated(table: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return values between those at 65 places, by polynomials of degree 5."""
+    at = np.clip(s, 0, 1) * (_PLACES - 1)
+    first = np.clip(np.floor(at).astype(int) - 2, 0, _PLACES - 6)
+    x = at - first
+    out = np.zeros((len(at), 2))
+    for k in range(6):
+        weight = np.ones(len(at))
+        for j in range(6):
+            if j != k:
+                weight *= (x - j) / (k - j)
+        out += weight[:, None] * table[first + k]
+    return out
+
+
+def _feet(grid: PatchGrid, axes: ClosedAxes, points: np.ndarray) -> np.ndarray:
+    """Return the nearest points of a surface to places in order along a curve, without jumps."""
+    count = len(points)
     starts = _starts(grid, points)
     uv, gap = foot_points(grid, axes, np.repeat(points, _STARTS, axis=0), starts.reshape(-1, 2))
-    uv, gap = uv.reshape(_PLACES, _STARTS, 2), gap.reshape(_PLACES, _STARTS)
+    uv, gap = uv.reshape(count, _STARTS, 2), gap.reshape(count, _STARTS)
     # feet as near as the nearest are worth the same: a millionth of the surface
     good = gap <= gap.min(axis=1, keepdims=True) + 1e-6 * grid.size
-    table = np.empty((_PLACES, 2))
+    table = np.empty((count, 2))
     # from the middle outwards: at the ends there may be a seam or a pole
-    middle = _PLACES // 2
+    middle = count // 2
     table[middle] = uv[middle, np.argmin(gap[middle])]
     size = grid.domain[:, 1] - grid.domain[:, 0]
-    for way in (range(middle + 1, _PLACES), range(middle - 1, -1, -1)):
+    period = np.where(axes.period > 0, axes.period, 1.0)
+    for way in (range(middle + 1, count), range(middle - 1, -1, -1)):
         last = table[middle]
         for k in way:
             choice = uv[k, good[k]]
-            period = np.where(axes.period > 0, axes.period, 1.0)
             turns = np.where(axes.period > 0, np.round((last - choice) / period), 0.0)
             choice = choice + turns * period
             last = choice[np.argmin(np.abs((choice - last) / size).max(axis=1))]
             table[k] = last
     _smooth_poles(grid, axes, table)
-    table, gap_here = foot_points(grid, axes, points, table)
-
-    def place(s: np.ndarray) -> np.ndarray:
-        guess = np.stack([np.interp(s, t, table[:, axis]) for axis in range(2)], axis=1)
-        return foot_points(grid, axes, bezier_points(curve, s), guess)[0]
-
-    return place, float(gap_here.max())
+    return table
 
 
 def _smooth_poles(grid: PatchGrid, axes: ClosedAxes, table: np.ndarray) -> None:

@@ -213,10 +213,10 @@ def _brep_face(
         for trim in loop:
             if trim.EdgeIndex < 0:
                 continue  # a pole: no length in space
-            pieces = list(_edge(brep.Edges[trim.EdgeIndex]))
+            pieces = _edge(brep.Edges[trim.EdgeIndex])
             if trim.IsReversed:
-                pieces = [piece[::-1] for piece in pieces[::-1]]
-            edges += [(piece, uses[trim.EdgeIndex] > 1) for piece in pieces]
+                pieces = pieces[::-1, ::-1]
+            edges.append((pieces, uses[trim.EdgeIndex] > 1))
         loops.append(edges)
     if (surface.patches[..., 3] <= 0).any():
         return "a surface with weights that are not positive"
@@ -277,7 +277,7 @@ def _plane_face(
     frame: np.ndarray, loops: list[list[tuple[np.ndarray, bool]]]
 ) -> list[np.ndarray] | str:
     flat = []
-    for piece, _seam in (item for loop in loops for item in loop):
+    for piece in (piece for loop in loops for pieces, _seam in loop for piece in pieces):
         local = piece[:, :3] - piece[:, 3:] * frame[2, :3]
         flat.append(np.column_stack([local @ frame[:2, :3].T, piece[:, 3]]))
     if any((c[:, 2] <= 0).any() for c in flat):
@@ -312,24 +312,16 @@ def _boundary(
     worst = 0.0
     for loop in loops:
         edges.append([])
-        for piece, seam in loop:
-            place, off = pulled_back(surface, axes, piece)
+        for pieces, seam in loop:
+            places, off = pulled_back(surface, axes, pieces)
             worst = max(worst, off)
             if off > _FAR * surface.size:
                 return "an edge that does not lie on its surface"
-            uv = place(np.linspace(0, 1, 9))
-            spread = np.ptp(uv, axis=0) / extent
-            if spread.min() <= 1e-7:  # along a parameter line
-                axis = int(np.argmin(spread))
-                line = uv[[0, -1]]
-                line[:, axis] = uv[:, axis].mean()
-                curves = [np.column_stack([line, np.ones(2)])]
-            else:
-                fitted = fit_parabolas(place, scale, accuracy * surface.size)
-                if fitted is None:
+            for place in places:
+                curves = _fitted(place, extent, scale, accuracy * surface.size)
+                if curves is None:
                     return "trimmed by a curve that parabolas cannot follow"
-                curves = fitted
-            edges[-1].append(BoundaryEdge(np.stack(curves), seam))
+                edges[-1].append(BoundaryEdge(np.stack(curves), seam))
     flat = [edge for part in edges for edge in part]
     points = np.concatenate([c[:, :2] / c[:, 2:] for edge in flat for c in edge.curves])
     low, high = surface.domain.T
@@ -346,3 +338,20 @@ def _boundary(
             curves = [standard(c) for edge in part if not edge.seam for c in edge.curves]
             boundary += join_ends(curves, 1e-7 * float(extent.max()))
     return [c for c in boundary if np.ptp(c[:, :2] / c[:, 2:], axis=0).any()], worst
+
+
+def _fitted(
+    place: Callable[[np.ndarray], np.ndarray],
+    extent: np.ndarray,
+    scale: np.ndarray,
+    tolerance: float,
+) -> list[np.ndarray] | None:
+    """Return a straight piece along a parameter line, or parabolas."""
+    uv = place(np.linspace(0, 1, 9))
+    spread = np.ptp(uv, axis=0) / extent
+    if spread.min() > 1e-7:
+        return fit_parabolas(place, scale, tolerance)
+    axis = int(np.argmin(spread))
+    line = uv[[0, -1]]
+    line[:, axis] = uv[:, axis].mean()
+    return [np.column_stack([line, np.ones(2)])]
