@@ -28,7 +28,7 @@ BODIES = {
     "cone": (shapes.cone(capped=True), (0, 0, 0.3)),
     "cylinder": (shapes.cylinder(capped=True), (0, 0, 0.5)),
 }
-LONG = {s: np.diag([s**0.5, 1, s**-0.5]) for s in (20, 1e3, 1e6)}
+LONG = {s: np.diag([s**0.5, 1, s**-0.5]) for s in (40, 1e6)}
 MAPS = {
     **{f"{s:g}": a for s, a in LONG.items()},
     **{f"{s:g}, turned": TURN @ a @ TURN for s, a in LONG.items()},
@@ -76,7 +76,7 @@ def test_nothing_leaks_out_of_thin_bodies(name, rounded):
         hit = traced(leaves, o, d)
         assert np.array(hit.valid).all(), f"{label}: {(~np.array(hit.valid)).sum()} escape"
         assert np.array(traced(leaves, o, d, any_hit=True).valid).all(), label
-        few = rng.choice(len(o), 100, replace=False)
+        few = rng.choice(len(o), 50, replace=False)
         length = np.linalg.norm(d_there[few], axis=1)
         expected = first_hit(body, o_there[few], d_there[few] / length[:, None])
         # at an edge the reference may miss
@@ -101,7 +101,7 @@ def test_bodies_in_one_set_have_axes_of_their_own():
         mb.sphere(),
         mb.ellipsoid(center=(5, 0, 0), radii=(1, 1, 1e-4)),
         mb.ellipsoid(center=(0, 5, 0), radii=(1e-4, 1, 1), cover="tetrahedral"),
-        mb.torus(center=(0, 0, 9)),
+        shapes.cylinder(center=(0, 0, 9), capped=True),
     ]
     patches = mb.BezierTriangles.join([b if b.degree == 4 else b.elevate(2) for b in bodies])
     leaves = build_leaves(patches)
