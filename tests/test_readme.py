@@ -33,7 +33,7 @@ def test_the_second_installs_and_tests():
 
 
 def pixels(path: Path) -> np.ndarray:
-    """Return the numbers of a PNG, from 0 to 1."""
+    """Return the numbers of a picture, from 0 to 1."""
     import mitsuba as mi
 
     return np.array(mi.Bitmap(str(path)))[..., :3] / 255.0
