@@ -225,7 +225,8 @@ def test_what_reaches_too_far_is_cut(monkeypatch):
 def test_what_lies_on_no_quadric_is_left_to_others():
     for patches in (SPHERE, CONE, SURFACES["disk"], SURFACES["saddle, degree 4"]):
         net = patches.control_points.copy()
-        net[0, 1, :3] += 1e-5 * np.array([1, 2, 3])
+        # two points: with one, the disk's patch is on a quadric that is flat, to 2e-8 of its height
+        net[0, [1, 4], :3] += 1e-5 * np.array([[1, 2, 3], [3, -2, -1]])
         leaves = build_leaves(mb.BezierTriangles(net))
         assert not leaves.exact[leaves.patch == 0].any()
         assert leaves.exact[leaves.patch == 1].all()
