@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import sys
 import warnings
 from importlib import import_module
@@ -23,6 +24,7 @@ from . import _llvm
 from .errors import RuntimeSetupError, VariantError
 
 __all__ = [
+    "INSTALL_MITSUBA",
     "VARIABLE",
     "check",
     "check_folder",
@@ -34,9 +36,14 @@ __all__ = [
     "prepare",
     "usable_variants",
     "variable_is_users",
+    "version_problem",
 ]
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
+
+#: Versions of Mitsuba whose interface for plugins is the one used here: from, and before.
+MITSUBA = ((3, 9, 1), (3, 10))
+INSTALL_MITSUBA = 'pip install "mitsuba>=3.9.1,<3.10"'
 
 _prepared = False
 _late = False  # Dr.Jit was imported before us: its LLVM is settled
@@ -149,6 +156,26 @@ def import_mitsuba() -> ModuleType:
         ) from error
 
 
+def version_problem() -> str | None:
+    """Return what is wrong with the version of Mitsuba and what to do, or None if it will do.
+
+    Installers do not keep the version: a package that is upgraded later takes another.
+    """
+    version = str(getattr(import_mitsuba(), "__version__", ""))
+    numbers = re.match(r"(\d+)\.(\d+)(?:\.(\d+))?", version)
+    if numbers is None:  # built from source, perhaps: nothing is known
+        return None
+    first, before = MITSUBA
+    found = tuple(int(x or 0) for x in numbers.groups())
+    if first <= found < before:
+        return None
+    newer = ", or a newer mitsuba_bezier if there is one" if found >= before else ""
+    return (
+        f"mitsuba: expected version {'.'.join(map(str, first))} or later, before "
+        f"{'.'.join(map(str, before))}, got {version}; install one: {INSTALL_MITSUBA}{newer}"
+    )
+
+
 def llvm_version() -> tuple[int, int, int] | None:
     """Return the version of the LLVM that Dr.Jit loaded, or None if it has none."""
     if "drjit" not in sys.modules:
@@ -237,10 +264,14 @@ def check(variant: str | None) -> None:
     VariantError
         If no variant is set, or one that cannot run a Dr.Jit kernel, or an unknown one.
     RuntimeSetupError
-        If the variant needs LLVM and Dr.Jit has none, or one that would abort the process.
+        If the version of Mitsuba is none that will do, or the variant needs LLVM and Dr.Jit has
+        none, or one that would abort the process.
     """
     if variant in _good:
         return
+    version = version_problem()
+    if version is not None:
+        raise RuntimeSetupError(version)
     known = import_mitsuba().variants()
     if variant is not None and variant in known and _starts(variant):
         _good.add(variant)

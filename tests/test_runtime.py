@@ -45,6 +45,56 @@ def good_library() -> str:
     return library.path
 
 
+# ---------------------------------------------------------------- versions of Mitsuba
+
+OTHER_VERSION = """
+import sys
+import mitsuba as mi
+mi.__version__ = sys.argv[1]
+import mitsuba_bezier as mb
+mi.set_variant("llvm_ad_rgb")
+print(mb.sphere().degree)
+assert mi.load_dict({"type": "path"}).class_name() == "PathIntegrator"  # Mitsuba goes on
+"""
+
+
+@pytest.mark.parametrize("version", ["3.8.0", "3.9.0", "3.10.0", "3.10.0.dev0", "4.1"])
+def test_another_version_of_mitsuba_is_named_at_import(python, version):
+    done = python(OTHER_VERSION + USE, None, version)
+    said = f"mitsuba: expected version 3.9.1 or later, before 3.10, got {version}; install one: "
+    assert done.stderr.count(said) == 1, done.stderr  # as a warning
+    assert 'pip install "mitsuba>=3.9.1,<3.10"' in done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[0] == "4"  # the geometry needs no Mitsuba
+    assert lines[1].startswith("RuntimeSetupError: " + said)
+
+
+@pytest.mark.parametrize("version", ["3.9.1", "3.9.12", "unknown"])
+def test_versions_that_will_do(python, version):
+    done = python(OTHER_VERSION + USE, None, version)
+    assert done.stdout.splitlines()[1] == "works", done.stderr
+    assert "expected version" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["render", "doctor"])
+def test_the_command_line_names_the_version(python, command, tmp_path):
+    code = """
+import sys, mitsuba
+mitsuba.__version__ = "3.10.0"
+from mitsuba_bezier.cli import doctor
+from mitsuba_bezier.cli.main import main
+doctor._try = lambda *_: "works"
+sys.exit(main())
+"""
+    scene = Path(__file__).parents[1] / "scenes" / "sphere.xml"
+    words = ["render", str(scene), "-o", str(tmp_path / "x.exr")] if command == "render" else []
+    done = python(code, None, *(words or ["doctor"]))
+    text = " ".join((done.stdout + done.stderr.splitlines()[-1]).split())
+    assert "mitsuba: expected version 3.9.1 or later, before 3.10, got 3.10.0" in text
+    assert 'pip install "mitsuba>=3.9.1,<3.10"' in text
+    assert done.returncode == (2 if command == "render" else 0)
+
+
 # ---------------------------------------------------------------- orders that work
 
 

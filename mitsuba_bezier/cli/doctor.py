@@ -122,6 +122,9 @@ def examine(timeout: float = 120.0) -> dict[str, Any]:
             advise(str(failure), "pip install --force-reinstall mitsuba")
         return findings
 
+    problem = _runtime.version_problem()
+    if problem:
+        advise(problem.partition("; ")[0], _runtime.INSTALL_MITSUBA)
     version = _runtime.llvm_version()
     findings["llvm"] = {
         "version": version and ".".join(map(str, version)),

@@ -26,7 +26,7 @@ from .quadric_records import (
 )
 from .trim_table import TrimTable
 
-__all__ = ["Structure", "build_structure"]
+__all__ = ["Structure", "build_structure", "leaf_boxes"]
 
 #: Floats in an affine leaf's record: shift 3, rows of the 3x3 chart 9, a b c, the remainder,
 #: and bits for more, see below.
@@ -156,30 +156,10 @@ def build_structure(
         How many there are, if the last of them may have no leaves.
     """
     ty = types_of(like)
-    straight = (leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
-    affine = np.flatnonzero(~leaves.exact & straight)
-    projective = np.flatnonzero(~leaves.exact & ~straight)
-    exact = np.flatnonzero(leaves.exact)
-    exact = exact[np.argsort(leaves.group[exact], kind="stable")]
+    affine, projective, exact, group_first, group_size = _order(leaves)
     graph = np.concatenate([affine, projective])
     order = np.concatenate([graph, exact])
-
-    group_first, group_size = ranges(leaves.group[exact])
-    boxes = leaves.box[graph]
-    if len(exact):
-        member_box = leaves.box[exact]
-        boxes = np.concatenate(
-            [
-                boxes,
-                np.stack(
-                    [
-                        np.minimum.reduceat(member_box[:, 0], group_first),
-                        np.maximum.reduceat(member_box[:, 1], group_first),
-                    ],
-                    axis=1,
-                ),
-            ]
-        )
+    boxes = leaf_boxes(leaves)
     owner = None
     if objects is not None:
         owner = np.concatenate([objects[graph], objects[exact[group_first]]])
@@ -235,6 +215,27 @@ def build_structure(
         + (trims[0].bytes if trims else 0),
         trim=None if trims is None else trims[0],
     )
+
+
+def leaf_boxes(leaves: Leaves) -> np.ndarray:
+    """Return the boxes ``(L, 2, 3)`` of leaves in the order of the structure, one for a group."""
+    affine, projective, exact, group_first, _size = _order(leaves)
+    boxes = leaves.box[np.concatenate([affine, projective])]
+    if not len(exact):
+        return boxes
+    low = np.minimum.reduceat(leaves.box[exact, 0], group_first)
+    high = np.maximum.reduceat(leaves.box[exact, 1], group_first)
+    return np.concatenate([boxes, np.stack([low, high], axis=1)])
+
+
+def _order(leaves: Leaves) -> tuple[np.ndarray, ...]:
+    """Return which leaves are affine, projective and exact, and first and size of the groups."""
+    straight = (leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+    exact = np.flatnonzero(leaves.exact)
+    exact = exact[np.argsort(leaves.group[exact], kind="stable")]
+    affine = np.flatnonzero(~leaves.exact & straight)
+    projective = np.flatnonzero(~leaves.exact & ~straight)
+    return affine, projective, exact, *ranges(leaves.group[exact])
 
 
 def _have_sides(leaves: Leaves) -> np.ndarray:

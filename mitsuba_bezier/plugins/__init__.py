@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -51,15 +52,19 @@ def _instantiate(name: str, props: Any) -> Any:
 
 
 def _on_variant(_old: str | None, new: str | None) -> None:
-    from .scene_data import clear_cache
+    supported = _runtime.version_problem() is None
+    if supported:
+        from .scene_data import clear_cache
 
-    clear_cache()
+        clear_cache()
     _classes.clear()  # Mitsuba remakes its Python base classes, so ours are remade too
     if new is None:
         return
-    import_module(".dictionaries", __name__).install()
     for name, (kind, _path) in PLUGINS.items():
         getattr(mi, f"register_{kind}")(name, partial(_instantiate, name))
+    if not supported:  # then a plugin is an error that says so, and the rest of Mitsuba is as it is
+        return
+    import_module(".dictionaries", __name__).install()
     if not new.startswith("scalar"):
         import_module(".counterparts", __name__).register()
         import_module(".sensors", __name__).register()
@@ -75,6 +80,9 @@ def register() -> None:
     if _registered:
         return
     _registered = True
+    problem = _runtime.version_problem()
+    if problem is not None:
+        warnings.warn(problem, RuntimeWarning, stacklevel=4)  # the line that imports us
     mi.detail.add_variant_callback(_on_variant)
     if mi.variant() is not None:
         _on_variant(None, mi.variant())
