@@ -1,9 +1,9 @@
 """One leaf by itself: what a ray meets in it, and its box.
 
 That is what Mitsuba 3.10 asks of a shape in Python: its primitives are met one by one, in a kernel
-that Mitsuba makes of the function (docs/mitsuba-3.10.md). So both functions take the number of a leaf,
-as an array or a number, and can be traced where they are called: they gather and loop, and have no
-side effects.
+that Mitsuba makes of the function (docs/mitsuba-3.10.md). So both functions take the number of a
+leaf, as an array or a number, and can be traced where they are called: they gather and loop, and
+have no side effects.
 """
 
 from __future__ import annotations
