@@ -46,7 +46,8 @@ def make_ptracer_class() -> type:
            - Samples per pixel of one pass (Default: all).
 
         Mitsuba's `ptracer`, whose estimator it has. What the sensor sees in mirrors and through
-        glass is not in the picture: such points cannot be connected to it. It has no media.
+        glass is not in the picture: such points cannot be connected to it. It has no media. In
+        polarized variants it keeps the order of the matrices, as path tracers do.
 
         .. code-block:: python
 
@@ -179,7 +180,9 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         ds, importance = sensor.sample_direction(si, sampler.next_2d(), active)
         towards = dr.normalize(ds.p - si.p)
         wo = si.to_local(towards)
-        value = st["throughput"] * importance * bsdf.eval(context, si, wo, active)
+        # light came along -wi: matrices of polarization are put before those of earlier vertices
+        value = bsdf.eval(context, si, wo, active)
+        value = importance * si.to_world_mueller(value, -si.wi, wo) * st["throughput"]
         outward, outward_shading = dr.dot(si.n, towards), mi.Frame3f.cos_theta(wo)
         value *= _correction(inward, inward_shading, outward, outward_shading)
         splat.connect(si, ds, value, 1.0, active)
@@ -189,7 +192,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
             context, si, sampler.next_1d(active), sampler.next_2d(active), active
         )
         onward = si.to_world(sample.wo)
-        throughput = st["throughput"] * weight
+        throughput = si.to_world_mueller(weight, -si.wi, sample.wo) * st["throughput"]
         throughput *= _correction(
             inward, inward_shading, dr.dot(si.n, onward), mi.Frame3f.cos_theta(sample.wo)
         )
