@@ -93,7 +93,9 @@ def textured_lamp(kind: str) -> Any:
         around = np.arctan2(middle[:, 1], middle[:, 0]) % (2 * np.pi) / (2 * np.pi)
         down = np.arccos(middle[:, 2] / np.linalg.norm(middle, axis=1)) / np.pi
         shape.update(type="beziertriangle", control_points=tensor(patches))
-        if kind == "texture":
+        if kind == "projection":
+            shape["uv"] = "spherical"
+        elif kind == "texture":
             # all of a patch within one pixel of the image
             spread = np.array([[0.1, 0], [0, 0.2], [-0.1, -0.2]])
             shape["texcoords"] = tensor(np.stack([around, down], axis=-1)[:, None] + spread)
@@ -112,7 +114,7 @@ def native_lamp(variant) -> tuple:
     return moments(textured_lamp("native"), path(max_depth=3), 2 * SPP, 0)
 
 
-@pytest.mark.parametrize("kind", ["texture", "attribute"])
+@pytest.mark.parametrize("kind", ["texture", "attribute", "projection"])
 def test_a_textured_area_light_on_a_sphere(native_lamp, kind):
     native = native_lamp
     ours = moments(textured_lamp(kind), bezierpath(max_depth=3), 2 * SPP, 4000)

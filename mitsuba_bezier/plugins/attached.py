@@ -58,7 +58,11 @@ def attached_tables(tables: Any, shapes: list[Any]) -> Any:
             values = _packed(shape, tables, first)
             dr.scatter(nets, values, dr.arange(mi.UInt32, count * width) + first * width)
         first += count
-    return replace(tables, nets=dr.replace_grad(tables.nets, nets))
+    projections = tables.projections
+    if projections is not None:
+        projections = projections.attached(shapes)
+    nets = dr.replace_grad(tables.nets, nets)
+    return replace(tables, nets=nets, projections=projections)
 
 
 def _packed(shape: Any, tables: Any, first: int) -> Any:

@@ -135,6 +135,7 @@ class PatchTables:
     shape_of: Any  #: UInt, number of the shape of each patch
     orientation: Any  #: Float per shape, the sign of the normal along dp_du x dp_dv
     texcoords: Any = None  #: Float, six a patch (uv at A, B, C), or None: uv is (u, v)
+    projections: Any = None  #: Projections, or None: no shape has one
 
     def origin(self, patch: Any, active: Any) -> Any:
         """Return the origins of patches, `mi.Point3f`."""
@@ -194,9 +195,19 @@ class PatchTables:
         return mi.Normal3f(_unit(n)) * self.sign(patch, active, place)
 
     def normal_partials(
-        self, pu: Any, pv: Any, patch: Any, u: Any, v: Any, active: Any, place: Any = None
-    ) -> tuple[Any, Any]:
+        self,
+        pu: Any,
+        pv: Any,
+        patch: Any,
+        u: Any,
+        v: Any,
+        active: Any,
+        place: Any = None,
+        along: Any = (),
+    ) -> list[Any]:
         """Return the partials of the unit normal by the parameters, given those of the point.
+
+        How it changes along other tangents comes after them.
 
         With ``N = p_u x p_v`` they are the parts across ``N`` of its partials over ``|N|``.
         Where the patch is nearly collapsed, rounding leaves nothing of them. There the linear map
@@ -229,7 +240,7 @@ class PatchTables:
         sign = self.sign(patch, active, place)
         nu = dr.select(singular, mapped(pu), na)
         nv = dr.select(singular, mapped(pv), nb)
-        return nu * sign, nv * sign
+        return [x * sign for x in (nu, nv, *map(mapped, along))]
 
     def point_and_normal(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point, the unit normal and ``|dp_du x dp_dv|`` at parameters of a patch."""
@@ -254,6 +265,22 @@ class PatchTables:
         )
         du, dv = a - c, b - c
         return mi.Point2f(dr.fma(u, du, dr.fma(v, dv, c))), du, dv
+
+    def coordinates(self, patch: Any, u: Any, v: Any, active: Any) -> Any:
+        """Return the texture coordinates `mi.Point2f` of a point that is on no copy."""
+        uv = self.texture(patch, u, v, active)[0]
+        if self.projections is None:
+            return uv
+        jet = self.jet(patch, u, v, active)
+        shape = dr.gather(mi.UInt32, self.shape_of, patch, active)
+        seen = self.projections.project(shape, jet.p + jet.origin, mi.Normal3f(0, 0, 1), active)
+        return dr.select(seen.here, seen.uv, uv)
+
+    def project(self, patch: Any, p: Any, n: Any, active: Any, place: Any) -> Any:
+        """Return what `Projections.project` does."""
+        shape = dr.gather(mi.UInt32, self.shape_of, patch, active)
+        linear = None if place is None else place[0]
+        return self.projections.project(shape, p, n, active, linear)
 
     def _limit_normal(self, patch: Any, u: Any, v: Any, flat: Any, place: Any) -> Any:
         near, far = (
@@ -365,15 +392,23 @@ def _interaction(
     jet = jet.moved(du, dv)
     u, v = mi.Float(u + du), mi.Float(v + dv)
     n = tables.normal(jet, hit.patch, u, v, ours, place)
-    p = mi.Point3f(dr.select(far, mi.Vector3d(ray.o) + t * mi.Vector3d(ray.d), jet.p + jet.origin))
+    exact = dr.select(far, mi.Vector3d(ray.o) + t * mi.Vector3d(ray.d), jet.p + jet.origin)
+    p = mi.Point3f(exact)
     pu, pv = mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
     if follows_shape and dr.grad_enabled(tables.nets, ray):
         t = dr.replace_grad(t, dr.norm(dr.select(ours, p - ray.o, 1.0)) / dr.norm(ray.d))
     uv, duv_du, duv_dv = tables.texture(hit.patch, u, v, ours)
     wants_dn = mi.has_flag(flags, mi.RayFlags.dNGdUV) or mi.has_flag(flags, mi.RayFlags.dNSdUV)
     nu = nv = mi.Vector3f(0.0)
+    projected, tangents = None, []
+    if tables.projections is not None:
+        if place is not None:  # copies have the texture of what they are copies of
+            first = tables.jet(hit.patch, pi.prim_uv.x, pi.prim_uv.y, ours).moved(du, dv)
+            exact = first.p + first.origin
+        projected = tables.project(hit.patch, exact, n, ours, place)
+        tangents = [projected.du, projected.dv]
     if wants_dn:
-        nu, nv = tables.normal_partials(pu, pv, hit.patch, u, v, ours, place)
+        nu, nv, *turned = tables.normal_partials(pu, pv, hit.patch, u, v, ours, place, tangents)
     if tables.texcoords is not None:
         pu, pv, regular = _by_texture(pu, pv, duv_du, duv_dv)
         # as Mitsuba's meshes: any basis where texture coordinates do not tell one
@@ -382,6 +417,18 @@ def _interaction(
         if wants_dn:
             nu, nv, _ = _by_texture(nu, nv, duv_du, duv_dv)
             nu, nv = dr.select(regular, nu, 0.0), dr.select(regular, nv, 0.0)
+    if projected is not None:
+        here, regular = projected.here, projected.regular
+        some, other = mi.coordinate_system(n)
+        uv = dr.select(here, projected.uv, uv)
+        pu = dr.select(here, dr.select(regular, projected.du, some), pu)
+        pv = dr.select(here, dr.select(regular, projected.dv, other), pv)
+        if wants_dn:
+            # a unit normal changes across itself; beside a collapsed edge this is a point nearby
+            turned = [x - n * dr.dot(n, x) for x in turned]
+            nu, nv = (
+                dr.select(here, dr.select(regular, a, 0.0), b) for a, b in zip(turned, (nu, nv))
+            )
 
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(pi.t))
     si.t = dr.select(ours, t, dr.inf)

@@ -31,6 +31,7 @@ from .contours import open_edges
 from .copies import CopyTables
 from .frozen import contents, is_bezier
 from .interaction import PatchTables, Preliminary, surface_interaction
+from .projections import Projections
 from .surface_sampling import SurfaceSampling
 
 __all__ = ["NO_PATCH", "SceneData", "data_for_scene", "data_for_shapes", "known_data"]
@@ -99,6 +100,7 @@ class SceneData:
             shape_of=self.patch_shape,
             orientation=upload(mi.Float, np.array([s.orientation for s in shapes])),
             texcoords=_texcoords(shapes),
+            projections=Projections.of(shapes),
         )
         if scene is not None:
             pointers = scene.shapes_dr()
@@ -232,11 +234,11 @@ class SceneData:
         with dr.resume_grad():
             self.attached = attached_tables(self.tables, self.shapes)
             if mode == dr.ADMode.Forward and dr.grad_enabled(self.attached.nets):
-                dr.forward_to(self.attached.nets, flags=dr.ADFlag.ClearNone)
-                nets = mi.Float(dr.detach(self.attached.nets))
-                dr.enable_grad(nets)
-                dr.set_grad(nets, dr.grad(self.attached.nets))
-                self.attached = replace(self.tables, nets=nets)
+                projections = self.attached.projections
+                if projections is not None:
+                    projections = replace(projections, rows=_brought(projections.rows))
+                nets = _brought(self.attached.nets)
+                self.attached = replace(self.tables, nets=nets, projections=projections)
         try:
             yield
         finally:
@@ -298,6 +300,17 @@ def _recorded() -> Iterator[None]:
     finally:
         if paused:
             gc.enable()
+
+
+def _brought(values: Any) -> Any:
+    """Return values with their derivatives, brought to them from the parameters now."""
+    if not dr.grad_enabled(values):
+        return values
+    dr.forward_to(values, flags=dr.ADFlag.ClearNone)
+    result = type(values)(dr.detach(values))
+    dr.enable_grad(result)
+    dr.set_grad(result, dr.grad(values))
+    return result
 
 
 def _leaves_of(shape: Any, remember: bool) -> Leaves:

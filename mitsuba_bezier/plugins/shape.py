@@ -18,6 +18,7 @@ from ..geometry.trims import Trims
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
 from .copies import copy_boxes, read_copies
 from .interaction import Preliminary
+from .projections import read_projection
 from .sensors import watch
 from .shape_parameters import read_affine, read_patches, read_tables
 from .shape_silhouettes import METHODS
@@ -86,6 +87,12 @@ def make_shape_class() -> type:
            - Texture coordinates at the corners A, B, C of each patch, of shape ``(P, 3, 2)``;
              they are affine in :math:`(u, v)` over the patch (Default: :math:`(u, v)`
              itself, |exposed|).
+         * - uv
+           - |string|
+           - Texture coordinates and partials of Mitsuba's own shapes instead, of the point in
+             object space: :monosp:`spherical` those of `sphere` of radius 1 around the origin,
+             :monosp:`cylindrical` of `cylinder`, :monosp:`planar` of `rectangle`,
+             :monosp:`polar` of `disk` (Default: none).
          * - face_*NAME*
            - |tensor|
            - An attribute per patch, of shape ``(P,)``, ``(P, 1)`` or ``(P, 3)`` (|exposed|,
@@ -120,7 +127,13 @@ def make_shape_class() -> type:
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
             #: Maps (N, 4, 4) of the copies, or None.
             self.copies = read_copies(props)
+            #: Name of the projection that texture coordinates come from, or None.
+            self.projection = read_projection(props)
             texcoords, attributes = read_tables(props, len(patches))
+            if self.projection is not None:
+                texcoords = None  # a file's
+                for name in attributes:
+                    self._need_parameters(name)
             for key in ("control_points", "filename", "to_world", "flip_normals", "texcoords"):
                 if key in props:
                     del props[key]
@@ -193,6 +206,26 @@ def make_shape_class() -> type:
             self.device_arrays: dict[str, dict[str, Any]] = {}
             self._state.updates += 1
             self._set_box(box)
+
+        @property
+        def object_to_world(self) -> np.ndarray:
+            """The matrix ``(4, 4)`` of ``to_world``, in float64."""
+            return self._object_to_world
+
+        @property
+        def object_patches(self) -> BezierTriangles:
+            """The patches before ``to_world``."""
+            return self._object
+
+        def _need_parameters(self, name: str) -> None:
+            """Refuse an attribute that is found by what `uv` replaces."""
+            if self.projection is not None and name.startswith("vertex_"):
+                raise BezierError.expected(
+                    name,
+                    "a shape without uv, for this attribute is found by the parameters of patches "
+                    "or by texcoords (face_... is for any shape)",
+                    f'uv "{self.projection}"',
+                )
 
         def _need_area(self, patches: BezierTriangles) -> None:
             """Refuse nets that are no surface where there is to be an emitter on it."""
@@ -332,12 +365,15 @@ def make_shape_class() -> type:
                 If the shape has several patches, or texture coordinates of its own: the same
                 coordinates may be anywhere then, or nowhere.
             """
-            if len(self.patches) > 1 or self.texture_corners is not None:
+            placed = self.texture_corners is not None or self.projection is not None
+            if len(self.patches) > 1 or placed:
                 raise BezierError.expected(
                     "eval_parameterization",
-                    "a shape of one patch without texcoords (elsewhere evaluate `shape.patches`)",
+                    "a shape of one patch without texcoords and uv (elsewhere evaluate "
+                    "`shape.patches`)",
                     f"{len(self.patches)} patches"
-                    + (" with texcoords" if self.texture_corners is not None else ""),
+                    + (" with texcoords" if self.texture_corners is not None else "")
+                    + (" with uv" if self.projection is not None else ""),
                 )
             flags = mi.RayFlags.All if flags is None else flags
             uv, active = mi.Point2f(uv), mi.Bool(active)
@@ -383,6 +419,7 @@ def make_shape_class() -> type:
                 )
             if self.has_attribute(name):
                 raise BezierError.expected("name", "the name of a new attribute", repr(name))
+            self._need_parameters(name)
             values = np.array(buffer, dtype=np.float64).ravel()
             count = len(self.patches)
             if size not in (1, 3) or len(values) == 0 or len(values) % (count * size):

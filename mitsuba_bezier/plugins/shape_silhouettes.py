@@ -221,7 +221,8 @@ def primitive_silhouette_projection(
 
 def _parameters(shape: Any, si: Any, active: Any) -> tuple[Any, Any]:
     """Return the parameters of an interaction: `si.uv` unless the shape has a texture's."""
-    if shape._alone().tables.texcoords is None:
+    tables = shape._alone().tables
+    if tables.texcoords is None and tables.projections is None:
         return si.uv.x, si.uv.y
     # the point, looked for along its normal
     reach = 2.0**-14 * (1 + dr.max(dr.abs(si.p)))
@@ -232,10 +233,11 @@ def _parameters(shape: Any, si: Any, active: Any) -> tuple[Any, Any]:
 
 
 def differential_motion(shape: Any, si: Any, active: Any = True) -> Any:
-    """Return the point at parameters ``si.uv`` of the patch ``si.prim_index``, as it moves."""
+    """Return the point of an interaction, at fixed parameters of its patch, as it moves."""
+    u, v = _parameters(shape, si, active)
     data = shape._alone()
     tables = attached_tables(data.tables, data.shapes)
-    return tables.partials(si.prim_index, si.uv.x, si.uv.y, mi.Bool(active))[0]
+    return tables.partials(si.prim_index, u, v, mi.Bool(active))[0]
 
 
 METHODS = (

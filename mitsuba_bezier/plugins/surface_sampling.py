@@ -96,7 +96,7 @@ def _cell_emission(data: Any, number: int, first: int, r: int) -> np.ndarray | N
         u, v = mi.Float(uv[0].copy()), mi.Float(uv[1].copy())
         point, n, _density = data.tables.point_and_normal(patch, u, v, mi.Bool(True))
         si = dr.zeros(mi.SurfaceInteraction3f, len(uv[0]))
-        si.p, si.n, si.uv = point, n, data.tables.texture(patch, u, v, mi.Bool(True))[0]
+        si.p, si.n, si.uv = point, n, data.tables.coordinates(patch, u, v, mi.Bool(True))
         si.sh_frame, si.wi, si.prim_index = mi.Frame3f(n), mi.Vector3f(0, 0, 1), patch - first
         si.shape = dr.gather(mi.ShapePtr, data.pointers, mi.UInt32(number))
         if mi.is_spectral:
@@ -276,7 +276,7 @@ class SurfaceSampling:
         point, n, density = tables.point_and_normal(patch, u, v, active)
         ps = dr.zeros(mi.PositionSample3f, dr.width(u))
         ps.p, ps.n = point, n
-        ps.uv = tables.texture(patch, u, v, active)[0]
+        ps.uv = tables.coordinates(patch, u, v, active)
         ps.pdf = dr.select(mi.Bool(active) & (density > 0), linear / density, 0.0)
         ps.delta = False
         return ps
