@@ -74,6 +74,8 @@ def _meant(plugin: str, key: str, cutoff: float) -> str | None:
     if plugin == "beziertriangle" and (attribute := re.fullmatch(r"(face|vertex)_?(\w+)", word)):
         return "_".join(attribute.groups())
     near = difflib.get_close_matches(word, PARAMETERS[plugin], n=1, cutoff=cutoff)
+    # of a short name with its letters exchanged only one in two is in its place
+    near = near or [name for name in PARAMETERS[plugin] if sorted(name) == sorted(word)]
     return near[0] if near else None
 
 
