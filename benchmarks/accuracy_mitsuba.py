@@ -11,7 +11,7 @@ from accuracy_rows import of_revolution, scaled
 from accuracy_tools import GENERAL, Line, Tracer, at_random, describe, toward, unit
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import analytic
+from mitsuba_bezier.oracles import analytic
 
 __all__ = ["leaving", "spheres"]
 

@@ -20,14 +20,15 @@ from accuracy_tools import (
 )
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import analytic, bernstein, shapes
+from mitsuba_bezier.geometry import bernstein, shapes
 from mitsuba_bezier.geometry.covers import quadric_cover, ruled_cover
 from mitsuba_bezier.geometry.plane_shapes import quarter_plane
 from mitsuba_bezier.geometry.quadrics import quadric_patch
-from mitsuba_bezier.geometry.reference import first_hit
 from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.geometry.triangulations import triangulated
+from mitsuba_bezier.oracles import analytic
+from mitsuba_bezier.oracles.reference import first_hit
 
 __all__ = [
     "collineations",

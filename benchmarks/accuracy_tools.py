@@ -9,12 +9,12 @@ import drjit as dr
 import numpy as np
 from drjit.llvm import Float
 
-from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import LeafSettings
-from mitsuba_bezier.geometry.reference import first_hit
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
+from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import LeafSettings
+from mitsuba_bezier.oracles.reference import first_hit
 
 __all__ = [
     "GENERAL",

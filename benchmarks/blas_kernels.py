@@ -92,7 +92,7 @@ def other(default: str | None) -> str | None:
 
 
 def tests(workers: int) -> list[str]:
-    files = [f"tests/test_{name}.py" for name in TESTS]
+    files = [str(next(ROOT.glob(f"tests/*/test_{name}.py"))) for name in TESTS]
     return ["-m", "pytest", "-q", "-n", str(workers), "-p", "no:cacheprovider", *files]
 
 

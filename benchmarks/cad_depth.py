@@ -27,7 +27,7 @@ import mitsuba as mi
 # isort: on
 
 from mitsuba_bezier import io
-from mitsuba_bezier.io import cad
+from mitsuba_bezier.io.cad import opencascade as cad
 
 #: Of the size of a part: what two depths may differ by.
 NEAR = 1e-3

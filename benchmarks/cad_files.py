@@ -18,7 +18,8 @@ import numpy as np
 
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.geometry.triangles import BezierTriangles
-from mitsuba_bezier.io import cad, rhino
+from mitsuba_bezier.io.cad import opencascade as cad
+from mitsuba_bezier.io.cad import rhino
 
 
 def areas(triangles: BezierTriangles) -> np.ndarray:

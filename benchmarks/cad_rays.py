@@ -26,7 +26,7 @@ import mitsuba as mi
 
 # isort: on
 
-from mitsuba_bezier.io import cad
+from mitsuba_bezier.io.cad import opencascade as cad
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

@@ -29,13 +29,13 @@ import numpy as np
 from common import camera_rays, into_view, machine, random_rays, set_variant, time_in_turns
 
 from mitsuba_bezier._files import write_file
-from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import LeafSettings
 from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.kernels.arrays import types_of, upload
 from mitsuba_bezier.kernels.batch import query
 from mitsuba_bezier.kernels.structure import build_structure
+from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import LeafSettings
 
 H = np.sqrt(0.5)
 FOOT = [(0, -1, 1), (1, -1, 1)]

@@ -41,7 +41,7 @@ def main() -> None:
 def work(folder: Path, step: int) -> None:
     """Do what the module says, within the namespace."""
     (folder / "ball.xml").write_text(SCENE.replace('"256"', '"96"'))
-    mb.sphere().save(folder / "ball.vtu")
+    mb.save(mb.sphere(), folder / "ball.vtu")
     rng = np.random.default_rng(0)
     for seed in (1, 2):
         pixels = {c: rng.random((64, 64)).astype(np.float32) for c in "RGB"}

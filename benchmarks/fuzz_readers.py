@@ -40,7 +40,9 @@ from mitsuba_bezier import io
 from mitsuba_bezier.cli._scene_xml import check_xml
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.geometry.trims import Trims, closed_region, square_map
-from mitsuba_bezier.io import cad, meshes, rhino
+from mitsuba_bezier.io import meshes
+from mitsuba_bezier.io.cad import opencascade as cad
+from mitsuba_bezier.io.cad import rhino
 from mitsuba_bezier.verification.thresholds import Thresholds
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

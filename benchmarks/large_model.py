@@ -60,8 +60,8 @@ def step(name: str, path: Path, count: int, degree: int) -> dict[str, Any]:
         patches = io.load(path)
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         start = time.process_time()
-        from mitsuba_bezier.geometry.leaf_builder import build_leaves
         from mitsuba_bezier.kernels.structure import build_structure
+        from mitsuba_bezier.leaves.builder import build_leaves
 
         leaves = build_leaves(patches)
         facts["leaves_s"] = time.process_time() - start

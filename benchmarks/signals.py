@@ -59,7 +59,7 @@ COMMANDS = {
 
 def prepare(folder: Path) -> None:
     """Write what the commands read."""
-    mb.sphere().save(folder / "ball.vtu")
+    mb.save(mb.sphere(), folder / "ball.vtu")
     (folder / "ball.xml").write_text(SCENE)
     for seed in (1, 2):
         pixels = {c: np.zeros((2048, 2048), np.float32) + seed for c in "RGB"}

@@ -16,9 +16,9 @@ from speed_report import Section, judged, short
 from speed_surfaces import balls, bezier_shape, height_field, patches_of
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry.leaf_builder import build_leaves
 from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.structure import Structure, build_structure
+from mitsuba_bezier.leaves.builder import build_leaves
 
 __all__ = ["measure", "net_bytes", "sections"]
 

@@ -12,9 +12,9 @@ from common import into_view
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
-from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import LeafSettings
 from mitsuba_bezier.kernels.structure import Structure, build_structure
+from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import LeafSettings
 from mitsuba_bezier.plugins.scene_data import data_for_scene, data_for_shapes
 
 __all__ = [

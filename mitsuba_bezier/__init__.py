@@ -57,7 +57,7 @@ from .geometry.shapes import (  # noqa: E402
 from .geometry.tensor import tensor_to_triangles  # noqa: E402
 from .geometry.triangles import BezierTriangles  # noqa: E402
 from .geometry.triangulations import triangulated  # noqa: E402
-from .io import load  # noqa: E402
+from .io import load, save  # noqa: E402
 
 __all__ = [
     "BezierCurve",
@@ -95,6 +95,7 @@ __all__ = [
     "ray_test",
     "register",
     "ruled_cover",
+    "save",
     "shape",
     "sphere",
     "tensor_to_triangles",
@@ -119,10 +120,10 @@ def register() -> None:
 
 #: Names that need Mitsuba, and where they are.
 _WITH_MITSUBA = {
-    "native": "scene_methods",
+    "native": "native.scene_methods",
     "ray_intersect": "scene",
     "ray_test": "scene",
-    "shape": "dictionaries",
+    "shape": "native.dictionaries",
 }
 
 

@@ -314,7 +314,7 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     for scene, parts in models().items():
         for name, patches in parts.items():
-            patches.save(FOLDER / f"{scene}_{name}.vtu")
+            mb.save(patches, FOLDER / f"{scene}_{name}.vtu")
     legs, edges = weights_tubes()
     write_tubes("weights_net", legs)
     write_tubes("weights_edges", edges)

@@ -64,7 +64,7 @@ def main() -> None:
     """Write all files."""
     FOLDER.mkdir(exist_ok=True)
     for name, patches in models().items():
-        patches.save(FOLDER / f"{name}.vtu")
+        mb.save(patches, FOLDER / f"{name}.vtu")
 
 
 if __name__ == "__main__":

@@ -12,11 +12,12 @@ from geometry_cases import rotation
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
-from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import Leaves
-from mitsuba_bezier.geometry.reference import first_hit
+from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.kernels.structure import Structure, build_structure
 from mitsuba_bezier.kernels.traverse import Hit, intersect
+from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import Leaves
+from mitsuba_bezier.oracles.reference import first_hit
 
 TURN = rotation(np.random.default_rng(21), 3)
 MOVE = np.eye(4)
@@ -30,6 +31,29 @@ def turned(patches: mb.BezierTriangles, order: tuple[int, ...]) -> mb.BezierTria
     ijk = bernstein.multi_indices(patches.degree)[:, list(order)]
     rows = [bernstein.row(patches.degree, i, j) for i, j, _k in ijk.tolist()]
     return mb.BezierTriangles(patches.control_points[:, rows])
+
+
+def otherwise(patches: mb.BezierTriangles) -> mb.BezierTriangles:
+    """Return the patches in other parameters, quadratic in the new ones, edges on edges."""
+    n = 2 * patches.degree
+    lattice = bernstein.multi_indices(n) / n
+    twist = np.array([[1.0, 1.3, 0.8], [0.9, 1.0, 1.2], [1.25, 0.85, 1.0]])
+    inner = lattice * (lattice @ twist.T)
+    total = inner.sum(axis=1, keepdims=True)
+    values = bernstein.basis(patches.degree, (inner / total)[:, :2]) @ patches.control_points
+    values = values * total**patches.degree  # homogeneous of degree n again
+    return mb.BezierTriangles(np.linalg.solve(bernstein.basis(n, lattice[:, :2]), values))
+
+
+H = np.sqrt(0.5)
+LOW, HIGH = [(0, -1, 1), (H, -H, H), (1, 0, 1)], [(1, 0, 1), (H, H, H), (0, 1, 1)]
+
+
+def revolution(*profiles: list[tuple[float, float, float]], segments: int = 4):
+    return mb.BezierTriangles.join([tensor_to_triangles(revolved(p, segments)) for p in profiles])
+
+
+SPHERE = revolution(LOW, HIGH)
 
 
 def moved(patches: mb.BezierTriangles) -> mb.BezierTriangles:

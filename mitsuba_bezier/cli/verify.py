@@ -90,6 +90,7 @@ def cast(
     """
     import drjit as dr
 
+    from ..io import save
     from ..plugins.scene import ray_intersect
     from ..verification.verify import Hits
 
@@ -98,7 +99,7 @@ def cast(
     with temporary_folder() as folder:
         # a file keeps float64, which a tensor of this variant does not
         net = Path(folder) / "patches.vtu"
-        patches.save(net)
+        save(patches, net)
         scene = _scene(case, net, resolution)
     index = dr.arange(mi.UInt32, resolution * resolution)
     place = mi.Point2f(mi.Float(index % resolution) + 0.5, mi.Float(index // resolution) + 0.5)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -371,11 +370,3 @@ class BezierTriangles:
         vertices = self.points(patch, np.tile(uv, (len(self), 1)))
         offset = count * np.arange(len(self))[:, None, None]
         return vertices, (np.array(faces)[None] + offset).reshape(-1, 3)
-
-    # ------------------------------------------------------------------ files
-
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write to a file; the suffix tells the format (see `mitsuba_bezier.load`)."""
-        from ..io import save
-
-        save(self, path)

@@ -37,29 +37,29 @@ __all__ = [
 
 #: Suffix to the module and function that read it; modules are imported when they are needed.
 _READERS = {
-    ".3dm": "rhino.read",
+    ".3dm": "cad.rhino.read",
     ".bbp": "geomview.read",
     ".bdf": "meshes.read",
     ".bez": "geomview.read",
-    ".brep": "cad.read",
+    ".brep": "cad.opencascade.read",
     ".bv": "bezierview.read",
-    ".iges": "cad.read",
-    ".igs": "cad.read",
+    ".iges": "cad.opencascade.read",
+    ".igs": "cad.opencascade.read",
     ".inp": "meshes.read",
     ".mesh": "meshes.read",
     ".msh": "gmsh.read",
     ".nas": "meshes.read",
     ".obj": "obj.read",
     ".off": "geomview.read_off",
-    ".step": "cad.read",
-    ".stp": "cad.read",
-    ".vtu": "vtu.read",
+    ".step": "cad.opencascade.read",
+    ".stp": "cad.opencascade.read",
+    ".vtu": "vtk.reader.read",
 }
 #: Options of the writers, by suffix.
 _OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims", "attributes")}
 #: Suffixes of the formats whose patches can have trims.
 _TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu")
-_WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtu_writer.write"}
+_WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtk.writer.write"}
 
 
 def known_suffixes() -> tuple[list[str], list[str]]:
@@ -78,7 +78,7 @@ def _function(path: str | PathLike[str], table: dict[str, str], verb: str) -> Ca
             f"a file that can be {verb} ({', '.join(sorted(table))})",
             f"suffix {suffix!r} of {str(path)!r}",
         )
-    module, name = table[suffix].split(".")
+    module, _, name = table[suffix].rpartition(".")
     return getattr(import_module(f".{module}", __name__), name)
 
 
@@ -149,7 +149,7 @@ def load_attributes(path: str | PathLike[str]) -> dict[str, np.ndarray]:
     """
     if Path(path).suffix.lower() != ".vtu":
         return {}
-    from .vtu_attributes import read_attributes
+    from .vtk.attributes import read_attributes
 
     return read_attributes(path)
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..geometry.trims import Trims
+from .cad.plane_regions import standard
+from .cad.trimmed_patches import closed_boundary, cut, fit_parabolas, trimmed_grid, trimmed_patches
 from .nurbs import check_knots, surface_to_bezier
 from .nurbs_surface import PatchGrid, bezier_points
-from .plane_regions import standard
-from .trimmed_patches import closed_boundary, cut, fit_parabolas, trimmed_grid, trimmed_patches
 
 __all__ = ["bezier_form", "grid_of_range", "trimmed_surface"]
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import drjit as dr
 
-from ..geometry.tree import NO_LEAF
+from ..leaves.bvh import NO_LEAF
 from .arrays import Types, dot3, inverse_root, types_of
 from .structure import Structure
 from .traverse import Hit, cull_leaf, finish, intersect, is_ray, meet, search, take_candidate

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..geometry.tree import NO_LEAF
+from ..leaves.bvh import NO_LEAF
 from .arrays import dot3, gather_packets, reciprocal, types_of, upload
 from .nodes import Nodes, build_nodes
 from .structure import Structure

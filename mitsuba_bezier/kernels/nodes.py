@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import BezierError
-from ..geometry.tree import NO_LEAF, Tree, build_tree
+from ..leaves.bvh import NO_LEAF, Tree, build_tree
 from .arrays import Types, upload
 
 __all__ = [

@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from ..geometry.leaves import Leaves
+from ..leaves.records import Leaves
 from .arrays import types_of, upload
 from .structure import Structure, leaf_boxes
 from .traverse import Hit, cull_leaf, finish, is_ray, meet

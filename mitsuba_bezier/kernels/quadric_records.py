@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.inverted_leaves import margin_planes
-from ..geometry.leaves import DEVIATION, LEAST, SECTION, Leaves
-from ..geometry.quadric_fits import matrices
-from ..geometry.section_leaves import edge_planes, shared_map
-from ..geometry.sector_leaves import cone_planes
+from ..leaves.closed_form.fits import matrices
+from ..leaves.closed_form.inverted import margin_planes
+from ..leaves.closed_form.plane_sections import edge_planes, shared_map
+from ..leaves.closed_form.sectors import cone_planes
+from ..leaves.records import DEVIATION, LEAST, SECTION, Leaves
 
 __all__ = [
     "AXES",

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import bernstein
-from ..geometry.leaves import INWARD, LEAST_REACH, OUTWARD, SECTION, Leaves
+from ..leaves.records import INWARD, LEAST_REACH, OUTWARD, SECTION, Leaves
 from .arrays import types_of, upload
 from .nodes import Nodes, build_nodes
 from .quadric_records import (

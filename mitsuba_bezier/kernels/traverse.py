@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import drjit as dr
 
-from ..geometry.tree import NO_LEAF
+from ..leaves.bvh import NO_LEAF
 from .arrays import Types, dot3, gather_packets, reciprocal, types_of
-from .chart import ChartLine, cull
-from .march import march
-from .quadric import group_hit
-from .section import section_parameters
+from .closed_form.newton import section_parameters
+from .closed_form.quadric import group_hit
+from .graph.chart import ChartLine, cull
+from .graph.march import march
 from .structure import DOMAIN, Structure
 from .walk import Slabs, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import drjit as dr
 
-from ..geometry.tree import NO_LEAF
+from ..leaves.bvh import NO_LEAF
 from .arrays import Types, gather_packets, reciprocal
 from .nodes import AXIS, FACE, INNER, NODE, SCALE, STEPS, TURN, Nodes
 

@@ -10,6 +10,7 @@ from typing import Any
 import mitsuba as mi
 
 from .. import _runtime
+from . import native
 
 __all__ = ["PLUGINS", "register"]
 
@@ -17,17 +18,23 @@ _classes: dict[tuple[str, str], type] = {}
 
 #: Our plugins: their kind, and the module and function that make their classes.
 PLUGINS = {
-    "beziertriangle": ("shape", "shape.make_shape_class"),
-    "bezieraov": ("integrator", "bezieraov.make_aov_class"),
-    "bezierpath": ("integrator", "bezierpath.make_path_class"),
-    "bezierdepth": ("integrator", "direct.make_depth_class"),
-    "bezierdirect": ("integrator", "direct.make_direct_class"),
-    "beziermoment": ("integrator", "nested.make_moment_class"),
-    "bezierptracer": ("integrator", "ptracer.make_ptracer_class"),
-    "bezierstokes": ("integrator", "nested.make_stokes_class"),
-    "beziervolpath": ("integrator", "beziervolpath.make_volpath_class"),
-    "bezier_direct_projective": ("integrator", "projective.make_direct_projective_class"),
-    "bezier_prb_projective": ("integrator", "projective.make_prb_projective_class"),
+    "beziertriangle": ("shape", "shape.beziertriangle.make_shape_class"),
+    "bezieraov": ("integrator", "integrators.bezieraov.make_aov_class"),
+    "bezierpath": ("integrator", "integrators.bezierpath.make_path_class"),
+    "bezierdepth": ("integrator", "integrators.direct.make_depth_class"),
+    "bezierdirect": ("integrator", "integrators.direct.make_direct_class"),
+    "beziermoment": ("integrator", "integrators.nested.make_moment_class"),
+    "bezierptracer": ("integrator", "integrators.ptracer.make_ptracer_class"),
+    "bezierstokes": ("integrator", "integrators.nested.make_stokes_class"),
+    "beziervolpath": ("integrator", "integrators.beziervolpath.make_volpath_class"),
+    "bezier_direct_projective": (
+        "integrator",
+        "integrators.bezier_projective.make_direct_projective_class",
+    ),
+    "bezier_prb_projective": (
+        "integrator",
+        "integrators.bezier_projective.make_prb_projective_class",
+    ),
 }
 
 
@@ -39,12 +46,10 @@ def _instantiate(name: str, props: Any) -> Any:
     key = (name, mi.variant())
     if key not in _classes:
         kind, path = PLUGINS[name]
-        module, function = path.split(".")
+        module, _, function = path.rpartition(".")
         _classes[key] = getattr(import_module(f".{module}", __name__), function)()
         if kind == "shape":  # from now on there may be a scene with something to see
-            import_module(".scene_methods", __name__).install()
-            import_module(".counterparts", __name__).install()
-            import_module(".sensors", __name__).install()
+            native.install()
     check_known(name, props)
     plugin = _classes[key](props)
     check_read(name, props)
@@ -64,11 +69,7 @@ def _on_variant(_old: str | None, new: str | None) -> None:
         getattr(mi, f"register_{kind}")(name, partial(_instantiate, name))
     if not supported:  # then a plugin is an error that says so, and the rest of Mitsuba is as it is
         return
-    import_module(".dictionaries", __name__).install()
-    if not new.startswith("scalar"):
-        import_module(".counterparts", __name__).register()
-        import_module(".sensors", __name__).register()
-        import_module(".groups", __name__).register()
+    native.register(not new.startswith("scalar"))
 
 
 _registered = False

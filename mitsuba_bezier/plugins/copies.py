@@ -10,12 +10,12 @@ import numpy as np
 
 from ..errors import BezierError, FileFormatError
 from ..geometry.boxes import finite_parts, reaches_infinity
-from ..geometry.leaves import Leaves
 from ..geometry.triangles import BezierTriangles
 from ..kernels.arrays import gather_packets, upload
 from ..kernels.copies import build_copies, intersect_copies
 from ..kernels.structure import build_structure
 from ..kernels.traverse import Hit
+from ..leaves.records import Leaves
 
 __all__ = ["CopyTables", "copy_boxes", "read_copies"]
 

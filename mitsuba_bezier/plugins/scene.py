@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from .. import _runtime
 from .interaction import Preliminary
-from .originals import original
+from .native.originals import original
 from .scene_data import SceneData, data_for_scene
 
 __all__ = ["SceneRays", "ray_intersect", "ray_test"]

@@ -15,9 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError
-from ..geometry.leaf_builder import build_leaves, rebuild_leaves
-from ..geometry.leaves import LeafSettings, Leaves
-from ..geometry.local_nets import local_nets
+from ..geometry.contours import open_edges
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
@@ -26,8 +24,10 @@ from ..kernels.patch import pack
 from ..kernels.structure import Structure, build_structure
 from ..kernels.traverse import Hit
 from ..kernels.trim_table import TrimTable, build_table
+from ..leaves.builder import build_leaves, rebuild_leaves
+from ..leaves.local_nets import local_nets
+from ..leaves.records import LeafSettings, Leaves
 from .attached import attached_tables
-from .contours import open_edges
 from .copies import CopyTables
 from .frozen import contents, is_bezier
 from .interaction import PatchTables, Preliminary, surface_interaction

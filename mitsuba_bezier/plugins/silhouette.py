@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError
+from ..geometry.contours import Segments, contour_segments, edge_segments
 from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials
-from .contours import Segments, contour_segments, edge_segments
 
 __all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "outward"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 
 from ..errors import BezierError
-from .attributes import is_attribute
+from .shape.attributes import is_attribute
 
 __all__ = ["PARAMETERS", "check_known", "check_read"]
 

@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry.surface_area import is_bounded, left_of_cells
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from ..kernels.arrays import upload
 from ..kernels.trim import keep
-from .surface_area import is_bounded, left_of_cells
 
 __all__ = ["SurfaceSampling", "direction_sample"]
 

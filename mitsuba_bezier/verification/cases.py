@@ -11,15 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..geometry import analytic, shapes
+from ..geometry import shapes
 from ..geometry.covers import sphere
 from ..geometry.triangles import BezierTriangles
+from ..oracles import analytic
 
 __all__ = ["CASES", "Case", "Surface", "Truth"]
 
 Points = np.ndarray
 
-#: Hits so far over a rim still belong to the patch: `kernels.quadric.EDGE`, 1e-6 in barycentrics
+#: Hits so far over a rim still belong to the patch: `kernels.edges.EDGE`, 1e-6 in barycentrics
 #: (and a tenth of it over the cosine), times ten, which is how far a unit of the parameters
 #: reaches on these patches. It keeps common edges closed; silhouettes have nothing of it.
 RIM = 1e-5

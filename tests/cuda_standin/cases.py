@@ -22,8 +22,6 @@ import drjit as dr
 import numpy as np
 from drjit import cuda, llvm
 
-from mitsuba_bezier.geometry.leaf_builder import build_leaves
-from mitsuba_bezier.geometry.leaves import LeafSettings, Leaves
 from mitsuba_bezier.geometry.trim_cells import trim_cells
 from mitsuba_bezier.geometry.trims import Trims, square_map
 from mitsuba_bezier.kernels import batch
@@ -33,6 +31,8 @@ from mitsuba_bezier.kernels.patch import affine_partials, pack
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.kernels.trim_table import build_table
+from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import LeafSettings, Leaves
 
 __all__ = ["CASES"]
 

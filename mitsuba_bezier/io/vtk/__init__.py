@@ -1,0 +1,1 @@
+"""VTK files: `.vtu` with Bézier cells, in every encoding."""

@@ -1,0 +1,1 @@
+"""Patches of quadrics on the device: the quadratic, then which patch it is."""

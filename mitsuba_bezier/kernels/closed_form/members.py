@@ -1,0 +1,261 @@
+"""Which patch of a group of exact leaves a point of their quadric is on, and its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+from ...leaves.records import INVERTED
+from ..arrays import Types, dot3, gather_packets, reciprocal
+from ..quadric_records import CELLS, FEW, MEMBER, TABLE
+from ..structure import Structure
+from ..trim import leaf_test
+from .newton import inverted_parameters
+
+__all__ = ["Roots", "find_members", "find_members_singly"]
+
+#: Rounding of a member's rows, and of a point, in their own scale, some eight of float32. It
+#: matters where all three coordinates are small, at the centre of projection (the tip of a lune),
+#: and where a patch is narrow.
+ROWS = 5e-7
+
+#: Sums of sides, in their own scale, of which a rounding of float32 is 1e-6 at most.
+ENOUGH = 0.1
+
+
+@dataclass
+class Roots:
+    """Where a ray meets a quadric: pairs, the first root first."""
+
+    wanted: list[Any]  #: Bool: whether it is there, and within the ray
+    along: list[Any]  #: Float64, ray parameter from `middle` on
+    point: list[list[Any]]  #: three Float each, from the group's origin
+    tolerance: list[Any]  #: Float, how far out of a patch it may be
+    middle: list[Any]  #: three Float64, a point of the ray
+    direction: list[Any]  #: three Float64
+
+    def exactly(self, along: Any) -> list[Any]:
+        """Return the point of the ray at a number as in `along`, in float64."""
+        return [dr.fma(along, d, p) for d, p in zip(self.direction, self.middle)]
+
+
+def _inside(m: list[Any], p: list[Any], tolerance: Any) -> Any:
+    """Tell whether a point is between the three sides of a member."""
+    bary = _values(m, p)
+    total = bary[0] + bary[1] + bary[2]
+    # Compared before a division: near the centre of projection all four are roundings.
+    # Only patches that reach the centre, the lunes, may have a hit there.
+    size = dr.abs(total)
+    sign = dr.select(m[14] != 0.0, 1.0, total)  # planes have sides, barycentrics have not
+    signed = [dr.mulsign(b, sign) for b in bary]
+    lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
+    return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
+
+
+def find_members(
+    s: Structure, ty: Types, group: Any, first: Any, count: Any, roots: Roots
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Find the first of two points that is on a member of a group.
+
+    Returns
+    -------
+    hit : Bool
+    second : Bool
+        Which point it is.
+    leaf : UInt
+    u, v : Float
+        Of the leaf.
+    """
+    want1, want2 = roots.wanted
+    k, following = first, first + 1
+    if dr.width(s.members) > dr.width(s.rows):
+        first = first + (group + 1) * TABLE
+        point = [dr.select(want1, a, b) for a, b in zip(*roots.point)]
+        many = count >= FEW
+        likely = _likely_member(s, ty, first, point, many & (want1 | want2))
+        k = dr.select(many, first + dr.minimum(likely, count - 1), first)
+        following = dr.select(many, first, first + 1)
+    last = first + count
+
+    def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
+        return _barycentrics(s, ty, leaf, roots.exactly(along), active)
+
+    def body(run, k, following, hit1, hit2, leaf1, leaf2, sides):
+        m = gather_packets(s.members, k, MEMBER, run)
+        leaf = dr.reinterpret_array(ty.UInt, m[12])
+        is_in1 = _inside(m, roots.point[0], roots.tolerance[0])
+        is_in2 = _inside(m, roots.point[1], roots.tolerance[1])
+        in1, in2 = want1 & ~hit1 & is_in1, want2 & ~hit2 & is_in2
+        kept = leaf_test(s, leaf)
+        if kept is not None:
+            in1 = in1 & kept(*parameters(leaf, roots.along[0], in1), in1)
+            in2 = in2 & kept(*parameters(leaf, roots.along[1], in2), in2)
+        hit1, hit2 = hit1 | in1, hit2 | in2
+        leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
+        if s.by_sides:
+            at1, at2 = (_values(m, p) for p in roots.point)
+            sides = [
+                dr.select(in1, x1, dr.select(in2, x2, x)) for x1, x2, x in zip(at1, at2, sides)
+            ]
+        run = run & (following < last) & ~hit1 & (want1 | ~hit2)
+        return run, following, following + 1, hit1, hit2, leaf1, leaf2, sides
+
+    none, no = dr.zeros(ty.UInt), ty.Bool(False)
+    sides = [dr.zeros(ty.Float)] * 3 if s.by_sides else []  # their values at the hit
+    _run, _k, _following, hit1, hit2, leaf1, leaf2, sides = dr.while_loop(
+        (want1 | want2, k, following, no, no, none, none, sides),
+        cond=lambda *st: st[0],
+        body=body,
+        labels=("run", "member", "following", "hit1", "hit2", "leaf1", "leaf2", "sides"),
+        label="bezier group members",
+    )
+    hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
+    along = dr.select(hit1, *roots.along)
+    if not s.by_sides:
+        return hit, ~hit1, leaf, *parameters(leaf, along, hit)
+    u, v = _from_sides(s, sides, leaf, along, hit, parameters)
+    return hit, ~hit1, leaf, u, v
+
+
+def _from_sides(
+    s: Structure, sides: list[Any], leaf: Any, along: Any, hit: Any, parameters: Any
+) -> tuple[Any, Any]:
+    """Return the parameters of hits from the values of their sides, what else finds them if not."""
+    x, y, rest = _values(s.shared_section, sides) if s.shared_section else sides
+    total = dr.select(hit, x + y + rest, 1.0)
+    scale = reciprocal(total)
+    u, v = x * scale, y * scale
+    if s.shared_section:
+        return u, v
+    small = dr.abs(total) < ENOUGH  # as near the tip of a lune
+    return dr.if_stmt(
+        args=(leaf, along, u, v),
+        cond=small,
+        true_fn=lambda leaf, along, _u, _v: parameters(leaf, along, small),
+        false_fn=lambda _leaf, _along, u, v: (u, v),
+        label="bezier near a tip",
+    )
+
+
+def find_members_singly(
+    s: Structure, ty: Types, first: Any, count: Any, roots: Roots
+) -> tuple[Any, Any, Any, Any, Any]:
+    """As `find_members`, where parameters tell whether a point is on some of the members.
+
+    Lanes look for a member that may have one of their points, and wait for the others: then all
+    take Newton's method. The members to be looked at are the bits of a word: those that may have
+    the first point from bit 0 on, those that may have the second one from bit 16 on.
+    """
+    table = count >> 5
+    count = count & 31
+    many = table > 0
+    masks = [
+        dr.select(many, _possible_members(s, ty, table - 1, point, many & wanted), (1 << count) - 1)
+        for point, wanted in zip(roots.point, roots.wanted)
+    ]
+    masks = [dr.select(wanted, mask, 0) for wanted, mask in zip(roots.wanted, masks)]
+
+    def body(run, left, hit, second, leaf, u, v):
+        def step(go, left, found, second, leaf, mark):
+            place = ty.UInt(dr.tzcnt(left))
+            left = left & (left - 1)
+            m = gather_packets(s.members, first + (place & 15), MEMBER, go)
+            leaf, mark = dr.reinterpret_array(ty.UInt, m[12]), m[14]
+            second = place >= 16
+            p = [dr.select(second, b, a) for a, b in zip(*roots.point)]
+            tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
+            found = go & _inside(m, p, tolerance)
+            return go & ~found & (left != 0), left, found, second, leaf, mark
+
+        no = ty.Bool(False)
+        _go, left, found, second, leaf, mark = dr.while_loop(
+            (run, left, no, no, leaf, dr.zeros(ty.Float32)),  # as members are
+            cond=lambda *st: st[0],
+            body=step,
+            labels=("go", "left", "found", "second", "leaf", "mark"),
+            label="bezier likely members",
+        )
+        p = roots.exactly(dr.select(second, roots.along[1], roots.along[0]))
+        tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
+        by_newton = mark == INVERTED
+        inside, u, v = inverted_parameters(s, ty, leaf, p, tolerance, found & by_newton)
+        if not s.only_inverted:
+            other_u, other_v = _barycentrics(s, ty, leaf, p, found & ~by_newton)
+            u, v = dr.select(by_newton, u, other_u), dr.select(by_newton, v, other_v)
+        hit = found & (inside | ~by_newton)
+        kept = leaf_test(s, leaf)
+        if kept is not None:
+            hit = hit & kept(u, v, hit)
+        return run & ~hit & (left != 0), left, hit, second, leaf, u, v
+
+    zero, no = dr.zeros(ty.Float), ty.Bool(False)
+    left = masks[0] | (masks[1] << 16)
+    _run, _left, hit, second, leaf, u, v = dr.while_loop(
+        (left != 0, left, no, no, dr.zeros(ty.UInt), zero, zero),
+        cond=lambda *st: st[0],
+        body=body,
+        labels=("run", "left", "hit", "second", "leaf", "u", "v"),
+        label="bezier group members",
+    )
+    return hit, second, leaf, u, v
+
+
+def _possible_members(s: Structure, ty: Types, table: Any, point: list[Any], active: Any) -> Any:
+    """Look up which members of a group may have a point, as bits."""
+    at = table * CELLS
+    scale = gather_packets(s.cells, at >> 3, 8, active)
+    inside, cell = ty.Bool(True), ty.UInt(0)
+    for a in range(3):
+        x = dr.fma(point[a], scale[a], 4.0)
+        inside = inside & (x >= 0.0) & (x < 8.0)
+        cell = cell | ((ty.UInt(dr.clip(x, 0.0, 7.0)) & 7) << (3 * a))
+    word = dr.gather(ty.Float32, s.cells, at + 8 + (cell >> 1), active & inside)
+    bits = dr.reinterpret_array(ty.UInt, word) >> ((cell & 1) << 4)
+    return dr.select(inside, bits & 0xFFFF, 0)
+
+
+def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active: Any) -> Any:
+    """Look up which member of a group covers a point, most likely, in the table before them."""
+    floats, bits = first * MEMBER, ty.UInt(0)
+    word = dr.gather(ty.Float32, s.members, floats + (MEMBER - 1), active)
+    word = dr.reinterpret_array(ty.UInt, word)
+    for a in range(3):
+        scale = dr.reinterpret_array(ty.Float32, ((word >> (10 * a)) & 1023) << 21)
+        cell = ty.UInt(dr.clip(dr.fma(point[a], ty.Float(scale), 4.0), 0.0, 7.0))
+        bits = bits | ((cell & 7) << (3 * a))
+    word = dr.gather(ty.Float32, s.members, floats - TABLE * MEMBER + (bits >> 3), active)
+    return (dr.reinterpret_array(ty.UInt, word) >> ((bits & 7) << 2)) & 15
+
+
+def _values(rows: list[Any], p: list[Any]) -> list[Any]:
+    """Return three linear forms of a point."""
+    return [dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3] for r in range(3)]
+
+
+def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
+    """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32.
+
+    For sectors of cones these are the first two from the corner on that is their apex.
+    """
+    number = dr.select(active, leaf - s.first_group, 0)
+    m = gather_packets(s.rows, number, MEMBER if s.has_cones else 12, active)
+    bary = _values(m, p)
+    total = ty.Float(bary[0] + bary[1] + bary[2])
+    inv = reciprocal(dr.select(total == 0.0, 1.0, total))
+    b0, b1, b2 = (ty.Float(b) for b in bary)
+    u, v = b0 * inv, b1 * inv
+    if not s.has_cones:
+        return u, v
+    # all that is no sector has a fourth row of zeros
+    last = ty.Float(dot3(m[12:15], p) + m[15])
+    is_cone = last != 0.0
+    # through the larger: where a coordinate is small its root is not well known
+    first = b0 >= b2
+    large = dr.maximum(dr.select(first, b0, b2), 1e-30)
+    one = dr.sqrt(large / last)
+    other = one * b1 / (2.0 * large)
+    u = dr.select(is_cone, dr.select(first, one, other), u)
+    v = dr.select(is_cone, dr.select(first, other, one), v)
+    return u, v

@@ -1,0 +1,114 @@
+"""Ray against a group of exact leaves: one quadric in closed form, then which patch it is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from ..arrays import Types, dot3, gather_packets, inverse_root, reciprocal
+from ..edges import edge_tolerance
+from ..quadric_records import AXES, GROUP
+from ..structure import Structure
+from .members import Roots, find_members, find_members_singly
+
+__all__ = ["group_hit"]
+
+#: Rounding of the discriminant of a cone, over the squares of the gradient and of the direction: a
+#: few hundred roundings of float64, and the square of a distance well below one of float32. Not
+#: over the square of their product, which is small where a line runs beside one of the cone.
+APEX = 1e-14
+
+
+def group_hit(
+    s: Structure, ty: Types, group: Any, o: Any, d: Any, t_max: Any, active: Any
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Find the first hit with a group.
+
+    The quadratic ``q s^2 + 2 b s + c = 0`` is solved in float64 about the point of the ray
+    nearest the group's origin; so the parameter of a hit and the decision at a silhouette are
+    as exact as the quadric itself.
+
+    Returns
+    -------
+    hit : Bool
+    t, u, v : Float
+        Ray parameter; barycentrics of the patch.
+    leaf : UInt
+    """
+    f64 = ty.Float64
+    g = s.only_group or gather_packets(s.groups, group, GROUP, active)
+    a = g[:10]
+    dd = [f64(d[i]) for i in range(3)]
+    od = [f64(o[i]) - g[10 + i] for i in range(3)]
+    if s.has_axes:  # in which the group is about as large in one direction as in another
+        axes = gather_packets(s.axes, group, AXES, active)[:9]
+        od, dd = ([dot3(axes[3 * r : 3 * r + 3], x) for r in range(3)] for x in (od, dd))
+        o, d = ([ty.Float(c) for c in x] for x in (od, dd))
+    else:
+        o = [o[i] - ty.Float(g[10 + i]) for i in range(3)]
+    # any point near the group will do, the exact nearest is not needed
+    length2 = dot3(d, d)
+    t0 = f64(-dot3(o, d) * reciprocal(length2))
+    p = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
+    ax = dr.fma(a[0], p[0], dr.fma(a[3], p[1], dr.fma(a[4], p[2], a[6])))
+    ay = dr.fma(a[3], p[0], dr.fma(a[1], p[1], dr.fma(a[5], p[2], a[7])))
+    az = dr.fma(a[4], p[0], dr.fma(a[5], p[1], dr.fma(a[2], p[2], a[8])))
+    aw = dr.fma(a[6], p[0], dr.fma(a[7], p[1], dr.fma(a[8], p[2], a[9])))
+    c = dr.fma(ax, p[0], dr.fma(ay, p[1], dr.fma(az, p[2], aw)))
+    b = dr.fma(ax, dd[0], dr.fma(ay, dd[1], az * dd[2]))
+    qx = dr.fma(a[0], dd[0], dr.fma(a[3], dd[1], a[4] * dd[2]))
+    qy = dr.fma(a[3], dd[0], dr.fma(a[1], dd[1], a[5] * dd[2]))
+    qz = dr.fma(a[4], dd[0], dr.fma(a[5], dd[1], a[2] * dd[2]))
+    q = dr.fma(qx, dd[0], dr.fma(qy, dd[1], qz * dd[2]))
+    disc = dr.fma(b, b, -q * c)
+    # whether there are roots is decided in float64; they are found in float32 and then made exact
+    # by one step of Newton's method, whose slopes are +-2 root
+    qf, bf, cf = ty.Float(q), ty.Float(b), ty.Float(c)
+    root = dr.sqrt(dr.maximum(ty.Float(disc), 0.0))
+    h = -(bf + dr.copysign(root, bf))
+    s1, s2 = cf / h, h / qf
+    # q = 0 to rounding: one root is at infinity (a plane, a ray along an asymptote)
+    linear = dr.abs(qf * s1) <= 1e-15 * dr.abs(h)
+    half = 0.5 / dr.copysign(dr.maximum(root, 1e-7 * dr.abs(h)), bf)
+    b2 = b + b
+    exact1, exact2 = f64(s1), f64(s2)
+    exact1 = exact1 - f64(ty.Float(dr.fma(dr.fma(q, exact1, b2), exact1, c)) * half)
+    exact2 = exact2 + f64(ty.Float(dr.fma(dr.fma(q, exact2, b2), exact2, c)) * half)
+    swap = ~linear & (exact2 < exact1)
+    near = dr.select(swap, exact2, exact1)
+    far = dr.select(swap, exact1, dr.select(linear, dr.inf, exact2))
+    t1, t2 = ty.Float(t0 + near), ty.Float(t0 + far)
+    if s.has_apexes:  # lines through one have a double root, which rounding must not take away
+        disc = disc + APEX * dot3([ax, ay, az], [ax, ay, az]) * f64(length2)
+    valid = active & (disc >= 0.0)
+    want1 = valid & (t1 > 0.0) & (t1 < t_max)
+    want2 = valid & (t2 > 0.0) & (t2 < t_max)
+    middle = [ty.Float(p[i]) for i in range(3)]
+    near32, far32 = ty.Float(near), ty.Float(far)
+    gradient = [ty.Float(x) for x in (ax, ay, az)]
+
+    def tolerance_for(gradient: list[Any]) -> Any:
+        cosine = root * inverse_root(dot3(gradient, gradient) * length2)
+        return edge_tolerance(cosine, ty.Float(g[15]))
+
+    tolerance1 = tolerance2 = tolerance_for(gradient)
+    if s.has_apexes:  # where the gradient has no size that it has everywhere, more or less
+        turn = [ty.Float(x) for x in (qx, qy, qz)]
+        tolerance1, tolerance2 = (
+            tolerance_for([dr.fma(x, turn[i], gradient[i]) for i in range(3)])
+            for x in (near32, far32)
+        )
+    p1 = [dr.fma(near32, d[i], middle[i]) for i in range(3)]
+    p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
+
+    roots = Roots([want1, want2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd)
+    first, count = ty.UInt(g[13]), ty.UInt(g[14])
+    if s.has_inverted:
+        found = find_members_singly(s, ty, first, count, roots)
+    else:
+        found = find_members(s, ty, group, first, count, roots)
+    hit, second, leaf, u, v = found
+    tolerance = dr.select(second, tolerance2, tolerance1)
+    u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
+    return hit, dr.select(second, t2, t1), u, v, leaf

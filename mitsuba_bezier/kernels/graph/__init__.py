@@ -1,0 +1,1 @@
+"""Graph leaves on the device: charts, the certified march, grazing hits."""

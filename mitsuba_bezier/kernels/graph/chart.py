@@ -1,0 +1,293 @@
+"""A ray in the chart of a graph leaf, and culling by the leaf's quadratic.
+
+``docs/intersection.md`` gives the argument; `mitsuba_bezier.leaves.records` the records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ...leaves.records import LEAST_REACH
+from ..arrays import Types, dot3, gather_packets, reciprocal
+from ..structure import (
+    AFFINE,
+    LEAST_REMAINDER,
+    OUTWARD_BITS,
+    PROJECTIVE,
+    REACH_DIGITS,
+    REMAINDER_DIGITS,
+    Structure,
+)
+
+__all__ = ["ChartLine", "affine_line", "cull", "first_root", "projective_line", "root_fraction"]
+
+
+@dataclass
+class ChartLine:
+    """How far culling got with a ray in the chart of a leaf.
+
+    The ray is a line ``x0 + tau e`` there. In an affine chart ``tau`` is the ray parameter from
+    `base`; for projective ones see `projective_line`. The surface is certainly not met between
+    the entry into the leaf's prism and ``tau``.
+    """
+
+    base: Any  #: Float64, ray parameter of a point near the leaf
+    gamma: Any  #: half the second derivative of the ray's height over the quadratic
+    tau: Any
+    end: Any  #: where the ray leaves the prism
+    sign: Any  #: side of the surface the ray enters on; zero where the quadratic cannot tell
+    sure: Any  #: Bool: there certainly is a hit; never set where culling was not to decide
+
+    @staticmethod
+    def zero(ty: Types) -> ChartLine:
+        """Return an uninitialised value for a loop's state."""
+        zero = dr.zeros(ty.Float)
+        return ChartLine(dr.zeros(ty.Float64), zero, zero, zero, zero, ty.Bool(False))
+
+
+def cull(
+    s: Structure,
+    ty: Types,
+    leaf: Any,
+    o: Any,
+    d: Any,
+    t_max: Any,
+    active: Any,
+    decide: bool = False,
+) -> tuple[Any, ChartLine]:
+    """Cull with the leaf's quadratic.
+
+    Parameters
+    ----------
+    decide : bool
+        Whether to find out where there certainly is a hit, too; not in projective charts.
+
+    Returns
+    -------
+    candidate : Bool
+        False: there is certainly no hit in this leaf for ``0 < t < t_max``.
+    line : ChartLine
+    """
+    if s.has_affine and not s.has_projective:
+        return _cull_affine(s, ty, leaf, o, d, t_max, active, decide)
+    if not s.has_affine:
+        return _cull_projective(s, ty, leaf - s.first_projective, o, d, t_max, active)
+    straight = leaf < s.first_projective
+    return dr.if_stmt(
+        args=(leaf, o, d, t_max, active),
+        cond=straight,
+        true_fn=lambda leaf, o, d, t, a: _cull_affine(s, ty, leaf, o, d, t, a, decide),
+        false_fn=lambda leaf, o, d, t, a: _cull_projective(
+            s, ty, leaf - s.first_projective, o, d, t, a
+        ),
+        label="bezier chart",
+    )
+
+
+def _cull_affine(
+    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any, decide: bool
+) -> tuple[Any, ChartLine]:
+    """Cull in float32; what that may be off is a part of the leaf's bounds.
+
+    Only the ray's point near the leaf is found in float64, so that neither rays from afar nor
+    scenes far off make it worse. The march goes along a line that is known better: `affine_line`.
+    """
+    record = gather_packets(s.affine, leaf, AFFINE, active)
+    rows = _rows(record)
+    e = [dot3(row, d) for row in rows]
+    f64 = ty.Float64
+    t0 = f64(-dot3([o[i] - ty.Float(record[i]) for i in range(3)], d) * reciprocal(dot3(d, d)))
+    near = _point(ty, record, t0, o, d)
+    x0 = [dot3(row, [ty.Float(x) for x in near]) for row in rows]
+    # on a leaf as thin as a hair the nearest point may be thousands of widths away: then on to the
+    # point nearest in the chart
+    ahead = -dot3(x0, e) * reciprocal(dot3(e, e))
+    x0 = [dr.fma(ahead, e[i], x0[i]) for i in range(3)]
+    base = t0 + f64(ahead)
+    word = dr.reinterpret_array(ty.UInt, record[15])
+    remainder = _number(ty, word, 0, REMAINDER_DIGITS, LEAST_REMAINDER)
+    outward = [_number(ty, word, at, REACH_DIGITS, LEAST_REACH) for at in OUTWARD_BITS]
+    inward = None
+    if decide:
+        words = [dr.reinterpret_array(ty.UInt, x) for x in record[12:15]]
+        inward = [_number(ty, word, 0, REACH_DIGITS, LEAST_REACH) for word in words]
+    lo, hi = ty.Float(-base), ty.Float(f64(t_max) - base)
+    return _cull(base, x0, e, affine_quadratic(ty, record), remainder, outward, inward, lo, hi)
+
+
+def _number(ty: Types, word: Any, at: int, digits: tuple[int, int], least: float) -> Any:
+    """Return a number that `structure` packed into a word, from bit `at` on."""
+    exponent, mantissa = digits
+    left = 23 - mantissa - at  # to where a float has its exponent's last bits
+    bits = (word << left) if left >= 0 else (word >> -left)
+    bits = bits & ((2 ** (exponent + mantissa) - 1) << (23 - mantissa))
+    bits = bits + int(np.float32(least).view(np.uint32))
+    return ty.Float(dr.reinterpret_array(ty.Float32, bits))
+
+
+def affine_quadratic(ty: Types, record: list[Any]) -> list[Any]:
+    """Return the quadratic of an affine leaf."""
+    words = [dr.reinterpret_array(ty.UInt, x) & 0xFFFFFF00 for x in record[12:15]]
+    return [dr.reinterpret_array(ty.Float32, x) for x in words]
+
+
+def _rows(record: list[Any]) -> list[list[Any]]:
+    """Return the rows of an affine leaf's chart."""
+    return [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
+
+
+def _point(ty: Types, record: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
+    """Return the point of a ray at `t`, from a leaf's shift, in float64."""
+    f64 = ty.Float64
+    return [dr.fma(t, f64(d[i]), f64(o[i]) - f64(record[i])) for i in range(3)]
+
+
+def affine_line(
+    ty: Types, record: list[Any], base: Any, o: Any, d: Any, wide: bool = False
+) -> tuple[list[Any], list[Any]]:
+    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero.
+
+    `x0` is found in float64; both are float64 if `wide`.
+    """
+    f64 = ty.Float64
+    near = _point(ty, record, base, o, d)
+    rows = _rows(record)
+    wide_rows = [[f64(x) for x in row] for row in rows]
+    x0 = [dot3(row, near) for row in wide_rows]
+    if wide:
+        return x0, [dot3(row, [f64(d[i]) for i in range(3)]) for row in wide_rows]
+    return [ty.Float(x) for x in x0], [dot3(row, d) for row in rows]
+
+
+def projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, ...]:
+    """Return the image of a ray under a projective leaf's collineation, in float64.
+
+    Homogeneously the ray is ``a + s b``, ``a`` being the point nearest the shift. The image is
+    taken as ``x0 + tau e`` through ``a_w a + b_w b``, which is never at the chart's infinity, as
+    its ``w`` is ``a_w^2 + b_w^2``, and then moved to its point nearest the leaf's centre.
+
+    Returns
+    -------
+    x0, e : three Float64 each
+    parameter : function
+        Takes ``tau`` to the ray parameter.
+    both : Bool
+        Whether ``tau`` and the ray parameter need not grow together.
+    """
+    f64 = ty.Float64
+    od = [f64(o[i]) - f64(record[i]) for i in range(3)]
+    dd = [f64(d[i]) for i in range(3)]
+    t0 = -dot3(od, dd) / dot3(dd, dd)
+    near = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
+    rows = [[f64(x) for x in record[4 + 4 * r : 8 + 4 * r]] for r in range(4)]
+    a = [dot3(row, near) + row[3] for row in rows]
+    b = [dot3(row, dd) for row in rows]
+    aw, bw = a[3], b[3]
+    inv = reciprocal(dr.fma(aw, aw, bw * bw))
+    x0 = [dr.fma(aw, a[i], bw * b[i]) * inv for i in range(3)]
+    e = [dr.fma(aw, b[i], -bw * a[i]) * inv for i in range(3)]
+    middle = -dot3([x0[0] - 1 / 3, x0[1] - 1 / 3, x0[2]], e) / dot3(e, e)
+    x0 = [dr.fma(middle, e[i], x0[i]) for i in range(3)]
+
+    def parameter(tau: Any) -> Any:
+        tau = tau + middle
+        return t0 + dr.fma(tau, aw, bw) / dr.fma(-tau, bw, aw)
+
+    return x0, e, parameter, bw != 0.0
+
+
+def _cull_projective(
+    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
+) -> tuple[Any, ChartLine]:
+    """As `_cull_affine`, on the line's image under the chart's collineation."""
+    record = gather_packets(s.projective, leaf, PROJECTIVE, active)
+    x0, e, _parameter, _both = projective_line(ty, record, o, d)
+    x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
+    infinity = dr.full(ty.Float, dr.inf)
+    zero = dr.zeros(ty.Float64)
+    return _cull(zero, x0, e, record[20:23], record[3], [record[23]] * 3, None, -infinity, infinity)
+
+
+def _cull(
+    base: Any,
+    x0: list[Any],
+    e: list[Any],
+    quadratic: list[Any],
+    remainder: Any,
+    outward: list[Any],
+    inward: list[Any] | None,
+    lo: Any,
+    hi: Any,
+) -> tuple[Any, ChartLine]:
+    a, b, c = quadratic
+    bends = dr.abs(a) + dr.abs(b) + dr.abs(c)
+    # |quadratic| over the enlarged triangle, a little more to be safe: with the sum m of `outward`,
+    # products of barycentrics are at most (1 + m)^2 / 4 or, where one is negative, m (1 + m)
+    total = outward[0] + outward[1] + outward[2]
+    height = dr.fma(bends, dr.fma(dr.fma(total, 1.3, 0.52), total, 0.26), remainder)
+    w0, ew = 1.0 - x0[0] - x0[1], -e[0] - e[1]
+    inner_lo, inner_hi = lo, hi  # within what the leaf certainly covers
+    for k, (f0, f1) in enumerate(((x0[0], e[0]), (x0[1], e[1]), (w0, ew))):
+        # f0 + tau f1 >= -outward, on the line: a half-line. Where f1 = 0 it is all or nothing, and
+        # taken for all
+        inverse = reciprocal(f1)
+        cut = (-outward[k] - f0) * inverse
+        lo = dr.select((f1 > 0.0) & (cut > lo), cut, lo)
+        hi = dr.select((f1 < 0.0) & (cut < hi), cut, hi)
+        if inward is not None:
+            cut = (inward[k] - f0) * inverse
+            inner_lo = dr.select((f1 > 0.0) & (cut > inner_lo), cut, inner_lo)
+            inner_hi = dr.select((f1 < 0.0) & (cut < inner_hi), cut, inner_hi)
+    rising = reciprocal(e[2])
+    low, high = (-height - x0[2]) * rising, (height - x0[2]) * rising
+    near, far = dr.select(rising > 0.0, low, high), dr.select(rising > 0.0, high, low)
+    lo, hi = dr.select(near > lo, near, lo), dr.select(far < hi, far, hi)
+    alpha = x0[2] - dr.fma(a * x0[0], x0[1], dr.fma(b * x0[0], w0, c * x0[1] * w0))
+    mixed = dr.fma(
+        a,
+        dr.fma(x0[0], e[1], e[0] * x0[1]),
+        dr.fma(b, dr.fma(x0[0], ew, e[0] * w0), c * dr.fma(x0[1], ew, e[1] * w0)),
+    )
+    slope0 = e[2] - mixed
+    gamma = -dr.fma(a * e[0], e[1], dr.fma(b * e[0], ew, c * e[1] * ew))
+    value = dr.fma(dr.fma(gamma, lo, slope0), lo, alpha)
+    sign = dr.copysign(dr.full(type(value), 1.0), value)
+    gap = dr.abs(value) - remainder
+    step, exists = first_root(gap, sign * dr.fma(2.0 * gamma, lo, slope0), sign * gamma)
+    clear = gap > 0.0
+    tau = dr.select(clear, lo + step, lo)
+    candidate = (lo <= hi) & (~clear | (exists & (tau <= hi)))
+    sign = dr.select(clear, sign, 0.0)
+    sure = type(candidate)(False)
+    if inward is not None:
+        # over what the leaf covers the ray changes from one side of it to the other
+        first = dr.fma(dr.fma(gamma, inner_lo, slope0), inner_lo, alpha)
+        last = dr.fma(dr.fma(gamma, inner_hi, slope0), inner_hi, alpha)
+        sure = (inner_lo < inner_hi) & (first * last < 0.0)
+        sure = sure & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)
+        # along an edge the cuts above do not tell on which side of it
+        sure = sure & (e[0] * e[1] * ew != 0.0)
+    return candidate | sure, ChartLine(base, gamma, tau, hi, sign, sure)
+
+
+def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:
+    """Return the step to the first zero of ``value + slope x + half_second x^2``, and if any.
+
+    For ``value >= 0`` the first zero ahead; a zero at hand that the slope leads away from does not
+    count. For a small negative value the zero behind.
+    """
+    numerator, denominator, exists = root_fraction(value, slope, half_second)
+    return numerator / denominator, exists
+
+
+def root_fraction(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any, Any]:
+    """Return the step of `first_root` as numerator and denominator, and if any."""
+    disc = dr.fma(slope, slope, -4.0 * half_second * value)
+    root = dr.sqrt(dr.maximum(disc, 0.0)) + dr.abs(slope)
+    away = slope > 0.0
+    denominator = dr.select(away, -2.0 * half_second, dr.maximum(root, 1e-30))
+    return dr.select(away, root, 2.0 * value), denominator, (disc >= 0.0) & (denominator > 0.0)

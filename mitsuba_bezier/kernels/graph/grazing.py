@@ -1,0 +1,86 @@
+"""Hits at grazing angles, made exact in float64.
+
+An error across the surface is an error along the ray divided by the cosine between the ray and the
+normal. What float32 leaves of it, some 1e-7 of a leaf's size, is seen near silhouettes of large
+leaves only.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+
+from ...geometry import bernstein
+from ..arrays import Types, gather_packets
+from ..net import graph_point
+from ..structure import AFFINE, HEAD, Structure
+from .chart import affine_line
+
+__all__ = ["polish"]
+
+#: Hits are polished if the ray would come nearer to the surface by less than so many leaf sizes on
+#: its whole way: 1e-7 of a leaf is then more than 1e-6 of the way.
+_GRAZING = 0.1
+#: Newton's step counts up to this share of the cosine, in leaf sizes: two roots are about twice
+#: that apart, and after it the error is the step times half this share.
+_SHARE = 0.1
+
+
+def polish(
+    s: Structure,
+    ty: Types,
+    leaf: Any,
+    base: Any,
+    o: Any,
+    d: Any,
+    hit: tuple[Any, Any, Any, Any],
+    active: Any,
+) -> tuple[Any, Any, Any]:
+    """Do a step of Newton's method from hits in affine leaves, where they are grazing.
+
+    Parameters
+    ----------
+    base : Float64
+        Ray parameter of a point near the leaf, see `chart.ChartLine`.
+    hit : tuple
+        Ray parameter, leaf barycentrics, and how fast the ray comes nearer to the surface, in leaf
+        sizes.
+
+    Returns
+    -------
+    t, u, v : Float
+    """
+    t, u, v, closing = hit
+
+    def step(t, u, v, closing, leaf, base):
+        f64 = ty.Float64
+        record = gather_packets(s.affine, leaf, AFFINE, active)
+        size = HEAD + bernstein.size(s.degree) * s.components
+        net = [f64(x) for x in gather_packets(s.nets, leaf, size, active)[HEAD:]]
+        (x0, y0, z0), (ex, ey, ez) = affine_line(ty, record, base, o, d, wide=True)
+        u64, v64, tau = f64(u), f64(v), f64(t) - base
+        (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, s.degree, u64, v64)
+        # from the ray to the surface, and what the ray is in the tangent plane's coordinates
+        rx, ry, rz = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y, dr.fma(tau, ez, z0) - z
+        idet = 1.0 / dr.fma(xu, yv, -xv * yu)
+        du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet
+        eu, ev = dr.fma(yv, ex, -xv * ey) * idet, dr.fma(xu, ey, -yu * ex) * idet
+        slope = ez - dr.fma(zu, eu, zv * ev)
+        delta = -(rz - dr.fma(zu, du, zv * dv)) / slope
+        speed2 = ty.Float(dr.fma(ex, ex, dr.fma(ey, ey, ez * ez)))
+        usable = dr.abs(ty.Float(delta)) * speed2 < _SHARE * closing  # false for NaN
+        u64, v64 = u64 + dr.fma(eu, delta, du), v64 + dr.fma(ev, delta, dv)
+        return (
+            dr.select(usable, ty.Float(base + (tau + delta)), t),
+            dr.select(usable, ty.Float(u64), u),
+            dr.select(usable, ty.Float(v64), v),
+        )
+
+    return dr.if_stmt(
+        args=(t, u, v, closing, leaf, base),
+        cond=active & (closing * t < _GRAZING),
+        true_fn=step,
+        false_fn=lambda t, u, v, *_: (t, u, v),
+        label="bezier grazing",
+    )

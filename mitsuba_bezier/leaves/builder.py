@@ -1,0 +1,158 @@
+"""From patches to leaves: closed forms first, subdivision for the rest (see `leaves`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ..geometry.proper_nets import free_of_factor, spans_area
+from ..geometry.triangles import BezierTriangles
+from .closed_form.affine_frames import affine_frames
+from .closed_form.degree_reduction import reduce_degree
+from .closed_form.groups import in_space_of
+from .closed_form.inverted import inverted_leaves
+from .closed_form.plane_sections import section_leaves
+from .closed_form.sectors import sector_leaves
+from .closed_form.stereographic import exact_leaves
+from .graph.subdivision import subdivide
+from .records import DEVIATION, LeafSettings, Leaves
+
+__all__ = ["build_leaves", "rebuild_leaves"]
+
+#: Finds patches with a closed form, and returns which and their leaves.
+Finder = Callable[[BezierTriangles], tuple[np.ndarray, Leaves]]
+
+#: Patches looked at together, and subdivided: bounds the memory of the build, not its result, but
+#: that patches on one quadric on both sides of such a border are two groups.
+_CHUNK = 4096
+
+
+def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None) -> Leaves:
+    """Cut `patches` into leaves.
+
+    Parameters
+    ----------
+    patches : BezierTriangles
+        Any degree, any weights.
+    settings : LeafSettings, optional
+        Thresholds of the subdivision.
+
+    Returns
+    -------
+    Leaves
+        The domains of the leaves of one patch tile its triangle. Points and curves have none.
+    """
+    settings = settings or LeafSettings()
+    nets = free_of_factor(patches.control_points)
+    surfaces = np.flatnonzero(spans_area(nets))
+    if len(surfaces) < len(patches):  # no ray meets the others
+        parts = [Leaves.empty(nets.shape[1])]
+        if len(surfaces):
+            leaves = build_leaves(BezierTriangles(nets[surfaces]), settings)
+            parts.append(replace(leaves, patch=surfaces[leaves.patch]))
+        return Leaves.join(parts)
+    if nets is not patches.control_points:
+        patches = BezierTriangles(nets)
+    numbers = np.arange(len(patches))
+    parts = []
+    if settings.closed_form:
+        quadratic: list[Finder] = [exact_leaves]
+        if settings.sections:
+            quadratic.append(sector_leaves)
+        finders: list[Finder] = [*quadratic, partial(_elevated_leaves, finders=quadratic)]
+        if settings.sections:
+            finders.append(section_leaves)
+        finders.append(inverted_leaves)
+        left = np.ones(len(patches), dtype=bool)
+        for frame in affine_frames(patches):
+            body = patches[frame.which]
+            for leaves in _closed_forms(frame.apply(body), finders)[0]:
+                parts.append(in_space_of(frame, leaves, body))
+                left[parts[-1].patch] = False
+        numbers = np.flatnonzero(left)
+        if len(numbers):
+            others, rest = _closed_forms(patches[numbers], finders)
+            parts += [replace(leaves, patch=numbers[leaves.patch]) for leaves in others]
+            numbers = numbers[rest]
+        nets = nets[numbers]
+    for first in range(0, len(numbers), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        parts.extend(subdivide(nets[chunk], numbers[chunk], settings))
+    return Leaves.join(parts)
+
+
+def _closed_forms(
+    patches: BezierTriangles, finders: Sequence[Finder]
+) -> tuple[list[Leaves], np.ndarray]:
+    """Let each of `finders` look at what those before it left; return leaves and what is left."""
+    parts = []
+    numbers = np.arange(len(patches))
+    for find in finders:
+        left = []
+        for first in range(0, len(numbers), _CHUNK):
+            chunk = numbers[first : first + _CHUNK]
+            found, leaves = find(patches[chunk])
+            if len(leaves):
+                leaves.patch = chunk[leaves.patch]
+                parts.append(leaves)
+            left.append(chunk[~found])
+        numbers = np.concatenate([numbers[:0], *left])
+    return parts, numbers
+
+
+def _elevated_leaves(
+    patches: BezierTriangles, finders: Sequence[Finder]
+) -> tuple[np.ndarray, Leaves]:
+    """Find patches that are elevations of those that `finders` find."""
+    found = np.zeros(len(patches), dtype=bool)
+    parts = [Leaves.empty(patches.control_points.shape[1])]
+    for degree in range(1, min(patches.degree, 3)):
+        numbers = np.flatnonzero(~found)
+        if not len(numbers):
+            break
+        reducible, lower, residual = reduce_degree(patches[numbers], degree)
+        if lower is None:
+            continue
+        for leaves in _closed_forms(lower, finders)[0]:
+            leaves.form[:, DEVIATION] += residual[leaves.patch]
+            leaves.patch = numbers[reducible][leaves.patch]
+            found[leaves.patch] = True
+            parts.append(leaves)
+    return found, Leaves.join(parts)
+
+
+def rebuild_leaves(
+    patches: BezierTriangles,
+    settings: LeafSettings,
+    before: BezierTriangles,
+    leaves: Leaves,
+) -> Leaves:
+    """Cut `patches` of which only some differ from those `before`, whose `leaves` are known.
+
+    Leaves of a patch depend on its own net alone, unless they have a closed form: these are looked
+    for anew.
+
+    Parameters
+    ----------
+    patches : BezierTriangles
+    settings : LeafSettings
+        With which `leaves` were built, too.
+    before : BezierTriangles
+    leaves : Leaves
+        Of `before`.
+    """
+    nets, old = patches.control_points, before.control_points
+    if nets.shape != old.shape:
+        return build_leaves(patches, settings)
+    changed = (nets != old).any(axis=(1, 2))
+    changed[leaves.patch[leaves.exact]] = True
+    if changed.all():
+        return build_leaves(patches, settings)
+    kept = leaves.select(~changed[leaves.patch])
+    if not changed.any():
+        return kept
+    again = build_leaves(patches[changed], settings)
+    return Leaves.join([kept, replace(again, patch=np.flatnonzero(changed)[again.patch])])

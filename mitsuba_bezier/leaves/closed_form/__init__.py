@@ -1,0 +1,1 @@
+"""Leaves that are whole patches on quadrics, met in closed form."""

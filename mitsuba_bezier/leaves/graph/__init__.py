@@ -1,0 +1,1 @@
+"""Leaves that are graphs of functions: subdivision until proved bounds are small."""

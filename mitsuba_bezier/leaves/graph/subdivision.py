@@ -1,0 +1,385 @@
+"""Subdivision of patches into graph leaves, with charts and bounds (see `leaves`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+
+from ...geometry import bernstein
+from ...geometry.linear import inverses
+from ...geometry.triangles import BezierTriangles
+from ..records import (
+    FORM,
+    INWARD,
+    OUTWARD,
+    LeafSettings,
+    Leaves,
+    pack_bending,
+    round_reach,
+    weight_signs,
+)
+from .bounds import leaf_bounds
+from .collapsed_edges import collapsed_edge, fan, strips
+from .cover import edge_reach
+
+__all__ = ["subdivide"]
+
+
+def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> Iterator[Leaves]:
+    """Yield the leaves of one chunk of patches, level by level.
+
+    Parameters
+    ----------
+    nets : (P, K, 4) array
+        Control nets.
+    patch : (P,) array
+        Their numbers.
+    settings : LeafSettings
+        When a leaf is good enough.
+    """
+    n = bernstein.degree_of(nets.shape[1])
+    domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
+    places = patch, _middles(nets)
+    for depth in range(settings.max_depth + 1):
+        leaves, good = _graph_leaves(nets, domain, patch, settings)
+        yield leaves.select(good)
+        singular = _singular_corner(nets)
+        crowd = _waiting(patch, good)
+        middle = places[1][np.searchsorted(places[0], patch)]
+        last = _below_float32(leaves.box, middle, singular >= 0) | (crowd > _BUDGET)
+        last[crowd > _CROWD] |= _flat(nets[crowd > _CROWD], middle[crowd > _CROWD])
+        last &= ~good
+        if depth == settings.max_depth:
+            last = ~good
+        if last.any():
+            for tip in range(-1, 3):
+                part = last & (singular == tip)
+                if part.any():
+                    yield _crumbs(nets[part], domain[part], patch[part], settings, tip)
+        rest = ~good & ~last
+        if not rest.any():
+            return
+        nets, domain, patch = nets[rest], domain[rest], patch[rest]
+        corner = collapsed_edge(nets)
+        plain = corner < 0
+        split = np.einsum("ekl,plc->pekc", bernstein.split_matrices(n), nets[plain])
+        # rows of SPLIT_CORNERS are barycentrics of new corners: columns of the domain map
+        inner = np.einsum("pij,ekj->peik", domain[plain], bernstein.SPLIT_CORNERS)
+        parts = [(split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3))]
+        numbers = [np.repeat(patch[plain], 4)]
+        for i in np.flatnonzero(~plain):
+            triangles, end = strips(nets[i], int(corner[i]))
+            inner = domain[i] @ triangles.transpose(0, 2, 1)
+            parts.append((bernstein.subdivide(nets[i], triangles), inner))
+            numbers.append(np.full(len(triangles), patch[i]))
+            if end > 0:
+                caps, inner = fan(nets[i], int(corner[i]), end)
+                if len(caps):
+                    number = np.full(len(caps), patch[i])
+                    closing = _graph_leaves(caps, domain[i] @ inner, number, settings)[0]
+                    closing.certified[:] = False  # planar: not quite the surface
+                    yield closing
+        nets = np.concatenate([p[0] for p in parts])
+        domain = np.concatenate([p[1] for p in parts])
+        patch = np.concatenate(numbers)
+
+
+#: Most leaves of one patch that may wait for a further cut. A patch whose parametrisation is
+#: singular along a curve has more at every level; it ends as planar triangles.
+_BUDGET = 20000
+#: With so many leaves waiting, those that are planar to this, relative to their coordinates, are
+#: cut no further: four planar triangles in place of one are off by a fourth of it, a rounding.
+_CROWD, _FLAT = 500, 2.5e-7
+#: Least cosine between the corners, as homogeneous vectors, of a crumb that meets infinity.
+_CLOSE = 0.9
+#: Crumbs are drawn out by this, so that chords cover the arcs they replace.
+_OVERLAP = 1.03
+
+
+def _singular_corner(nets: np.ndarray) -> np.ndarray:
+    """Return the corner 0, 1, 2 at which the partials of a net vanish or are parallel, or -1."""
+    n = bernstein.degree_of(nets.shape[1])
+    with np.errstate(all="ignore"):
+        p = _affine(nets)
+        areas = []
+        for c in range(3):
+            ijk = np.zeros((3, 3), dtype=int)
+            ijk[:, c] = n - 1
+            ijk[range(3), range(3)] += 1
+            q = p[:, [bernstein.row(n, i, j) for i, j, _k in ijk.tolist()]]
+            arms = q - q[:, [c]]
+            area = np.cross(arms[:, (c + 1) % 3], arms[:, (c + 2) % 3])
+            areas.append(np.linalg.norm(area, axis=1))
+        area = np.stack(areas, axis=1)
+        # 1e-3: the least of a leaf beside the singular corner is some hundredth of the largest
+        found = (area < 1e-3 * area.max(axis=1, keepdims=True)).sum(axis=1) == 1
+    return np.where(found, np.argmin(area, axis=1), -1)
+
+
+def _middles(nets: np.ndarray) -> np.ndarray:
+    """Return a point near the middle of each net, the origin for nets at infinity."""
+    w = nets[..., 3]
+    with np.errstate(all="ignore"):
+        middle = (nets[..., :3] * np.sign(w)[..., None]).sum(axis=1)
+        middle = middle / np.abs(w).sum(axis=1)[:, None]
+    return np.where(np.isfinite(middle).all(axis=1)[:, None], middle, 0.0)
+
+
+def _below_float32(box: np.ndarray, middle: np.ndarray, singular: np.ndarray) -> np.ndarray:
+    """Tell which leaves are too small to have a chart in float32, whose origin is rounded.
+
+    They lie at singular corners such as the apex of a cone. Further cuts could not make them
+    better: they would all be cut down to the last level. What counts is their size in that of the
+    patch, whose `middle` is given: far from the origin of space, as long as its float32 numbers
+    can place a chart, leaves are what they are near it.
+    """
+    with np.errstate(invalid="ignore"):
+        size = (box[:, 1] - box[:, 0]).max(axis=1)
+        # 3e-6: some fifty roundings of the origin. At the singular corner itself 3e-5, so that
+        # the leaves around it, a tenth as large, are not too small
+        small = size < np.where(singular, 3e-5, 3e-6) * np.abs(box - middle[:, None]).max(
+            axis=(1, 2)
+        )
+        # 1e-6: the chart's origin is within a tenth of the leaf
+        return small | (size < np.where(singular, 1e-5, 1e-6) * np.abs(box).max(axis=(1, 2)))
+
+
+def _flat(nets: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Tell which nets with weights of one sign are planar but for `_FLAT`."""
+    w = nets[..., 3]
+    finite = np.logical_or((w > 0).all(axis=1), (w < 0).all(axis=1))
+    p = _affine(np.where(finite[:, None, None], nets, 1.0)) - middle[:, None]
+    size = np.abs(p).max(axis=2).min(axis=1)  # the nearest: a leaf may reach far out
+    p = p - p.mean(axis=1, keepdims=True)
+    finite &= np.isfinite(p).all(axis=(1, 2))
+    # not by eigenvalues of squares: rounding alone makes some 1e-8 of the extent of their roots
+    spread = np.linalg.svd(np.where(finite[:, None, None], p, 0.0), compute_uv=False)[:, -1]
+    return finite & (spread < _FLAT * size)
+
+
+def _waiting(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Return for each leaf how many of its patch are not good."""
+    return np.bincount(patch[~good], minlength=int(patch.max(initial=0)) + 1)[patch]
+
+
+def _crumbs(
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings, corner: int
+) -> Leaves:
+    """Return planar leaves in place of those that cannot be made good.
+
+    Each is cut into four planar triangles through its own points; where a patch went over its
+    budget they are what `docs/intersection.md` calls the unguaranteed case. A leaf with a
+    singular `corner` is cut into 32 triangles around that corner, which is what a cone is: at
+    3e-5 of the scene they are off by 1e-8 of it.
+    """
+    n = bernstein.degree_of(nets.shape[1])
+    corners = bernstein.SPLIT_CORNERS  # rows: barycentrics of the corners of each triangle
+    if corner >= 0:
+        corners = _around(corner)
+    points = np.einsum("trk,pkc->ptrc", bernstein.basis(n, corners[..., :2]), nets)
+    points = points.reshape(-1, 3, 4)
+    w = points[..., 3:]
+    finite = ((w > 0).all(axis=1) | (w < 0).all(axis=1))[:, :, None]
+    points = np.where(finite, points / np.where(w == 0, 1.0, w), points)
+    # beside a base point, where all four coordinates vanish, points of a leaf lie anywhere on a
+    # line; a triangle through them and through infinity would be met by half of all rays
+    size = np.linalg.norm(points, axis=2, keepdims=True)
+    ray = points / np.where(size > 0, size, 1.0)
+    close = np.einsum("tic,tjc->tij", ray, ray).min(axis=(1, 2)) > _CLOSE
+    middle = points.mean(axis=1, keepdims=True)
+    points = middle + _OVERLAP * (points - middle)
+    for m in range(1, n):
+        points = bernstein.elevation_matrix(m) @ points
+    inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
+    leaves, good = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
+    leaves.certified[:] = False
+    # what is not good has no area, and no ray meets it
+    return leaves.select(good & (close | finite[:, 0, 0]))
+
+
+def _around(corner: int, count: int = 32) -> np.ndarray:
+    """Return barycentrics ``(count, 3, 3)`` of the corners of triangles around one corner."""
+    s = np.arange(count + 1) / count
+    edge = np.zeros((count + 1, 3))
+    edge[:, (corner + 1) % 3], edge[:, (corner + 2) % 3] = 1 - s, s
+    out = np.zeros((count, 3, 3))
+    out[:, 0, corner] = 1.0
+    out[:, 1], out[:, 2] = edge[:-1], edge[1:]
+    return out
+
+
+def _affine(net: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return net[..., :3] / net[..., 3:]
+
+
+def _normalise_weights(nets: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scale the corner weights to one by a Möbius change of the barycentrics.
+
+    Returns the nets, the factors ``m`` with ``u_patch ~ m u_leaf``, and whether the leaf is
+    finite: all weights of one sign.
+    """
+    sign = weight_signs(nets)
+    finite = sign != 0
+    nets = nets * np.where(finite, sign, 1.0)[:, None, None]
+    corners = nets[:, bernstein.corner_rows(n)]
+    size = np.where(finite[:, None], corners[..., 3], np.linalg.norm(corners, axis=-1))
+    # a corner that is the zero vector cannot be scaled
+    m = np.where(size > 0, size, 1.0) ** (-1.0 / n)
+    ijk = bernstein.multi_indices(n)
+    nets = nets * np.prod(m[:, None, :] ** ijk[None], axis=-1)[..., None]
+    return nets, m, finite
+
+
+def _charts(nets: np.ndarray, finite: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return shift ``(L, 3)`` and frame ``(L, 4, 4)``, both rounded to float32."""
+    corners = nets[:, bernstein.corner_rows(n)]
+    rows = np.zeros((len(nets), 4, 4))
+    with np.errstate(all="ignore"):
+        p = _affine(corners)
+        normal = np.cross(p[:, 0] - p[:, 2], p[:, 1] - p[:, 2])
+        area2 = np.linalg.norm(normal, axis=1)
+        unit = normal / area2[:, None] * np.sqrt(area2)[:, None]
+    shift = np.where(finite[:, None], p[:, 2], 0.0)
+    shift = np.where(np.isfinite(shift), shift, 0.0).astype(np.float32).astype(np.float64)
+    basis = corners.copy()  # rows P0, P1, P2
+    basis[..., :3] -= basis[..., 3:] * shift[:, None]
+    apex = np.zeros((len(nets), 4))
+    apex[:, :3] = unit
+    scale = np.linalg.norm(basis, axis=-1)
+    if not finite.all():
+        # fourth point of a projective chart: orthogonal to the corners, of their size
+        far = basis[~finite]
+        _u, _s, vt = np.linalg.svd(np.where(np.isfinite(far), far, 0.0))
+        apex[~finite, :] = vt[:, 3] * scale[~finite].mean(axis=1)[:, None]
+    basis = np.concatenate([basis, apex[:, None]], axis=1)
+    local = basis.copy()
+    with np.errstate(all="ignore"):  # in the size of the leaf
+        local[..., :3] /= np.abs(basis[..., :3]).max(axis=(1, 2), keepdims=True)
+    # coordinates (U0, U1, U2, s)
+    inverse, usable = inverses(basis.transpose(0, 2, 1), local.transpose(0, 2, 1))
+    rows[:, 0], rows[:, 1], rows[:, 2] = inverse[:, 0], inverse[:, 1], inverse[:, 3]
+    rows[:, 3] = inverse[:, :3].sum(axis=1)
+    # the affine chart's origin is the shift itself, so only a 3x3 matrix is left
+    rows[finite & usable, :3, 3] = 0.0
+    rows[finite & usable, 3] = (0.0, 0.0, 0.0, 1.0)
+    with np.errstate(over="ignore"):
+        rounded = rows.astype(np.float32).astype(np.float64)
+    bad = ~usable | ~np.isfinite(rounded).all(axis=(1, 2))
+    rounded[bad] = np.eye(4)
+    return shift, rounded
+
+
+#: Rays look for a leaf this far beyond its edges: rounding moves grazing hits along the surface.
+_PAD = 1e-4
+
+#: What culling in float32 may be off at a coordinate, over the chart's largest entry `m` times
+#: the leaf's extent `r`. With a unit `u` of rounding, the point near the leaf, which is at most `r`
+#: away, makes 4 u m r of it, and the direction 3 u m over at most `2 r`; and root 3 for 1-norms.
+_CULLING = 18 * 2.0**-24
+
+#: Leaves examined at a time: bounds the memory, not the result.
+_CHUNK = 4096
+
+
+def _graph_leaves(
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+) -> tuple[Leaves, np.ndarray]:
+    """Fit a chart to each net and tell which are good leaves."""
+    parts = [
+        _fit_charts(nets[c], domain[c], patch[c], settings)
+        for c in (slice(i, i + _CHUNK) for i in range(0, max(len(nets), 1), _CHUNK))
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return Leaves.join([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+
+def _fit_charts(
+    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+) -> tuple[Leaves, np.ndarray]:
+    n = bernstein.degree_of(nets.shape[1])
+    nets, moebius, finite = _normalise_weights(nets, n)
+    shift, frame = _charts(nets, finite, n)
+    moved = nets.copy()
+    moved[..., :3] -= moved[..., 3:] * shift[:, None]
+    chart = np.einsum("lrc,lkc->lkr", frame, moved)  # x, y, z, W
+    w = chart[..., 3]
+    spread = np.abs(w - 1).max(axis=1)
+    rows = np.flatnonzero((w > 0).all(axis=1) & (spread <= settings.weight))
+    rows = rows[~_hopeless(chart[rows], settings)]
+    reach, inward = edge_reach(chart[rows])
+    rounding = np.where(finite[rows], _rounding(nets[rows], shift[rows], frame[rows]), 0.0)
+    reach = round_reach(reach + (_PAD + rounding)[:, None])
+    inward = round_reach(inward + rounding[:, None])
+    margin = reach.max(axis=1)
+    # the kernel has but one number for projective charts
+    reach[~finite[rows]] = margin[~finite[rows], None]
+    form = np.zeros((len(nets), FORM))
+    good = np.zeros(len(nets), dtype=bool)
+    bounds = leaf_bounds(chart[rows], reach, inward, settings.lateral)
+    good[rows] = (
+        bounds.proved
+        & (bounds.lateral <= settings.lateral)
+        & (bounds.remainder <= settings.remainder)
+        & (bounds.height <= settings.height)
+    )
+    form[rows, :3], form[rows, 7:13] = bounds.quadratics[:, :3], bounds.quadratics[:, 3:]
+    # the slope of the quadratic takes what is off along the chart to a height: its gradient is at
+    # most 2 sqrt(2) times the sum of its coefficients over the unit triangle, some more beyond it
+    with np.errstate(invalid="ignore"):  # an infinite margin, where nothing is proved
+        bends = 1 + 3 * (1 + 3 * margin) * np.abs(bounds.quadratics[:, :3]).sum(axis=1)
+    form[rows, 3] = bounds.remainder + bends * rounding
+    form[rows, 4], form[rows, 6] = bounds.variation, margin
+    form[rows, OUTWARD], form[rows, INWARD] = reach, inward
+    form[rows, 5] = pack_bending(bounds.bending, bounds.size)
+    form[~np.isfinite(form).all(axis=1)] = 0.0
+    deviation = chart.copy()
+    ijk = bernstein.multi_indices(n)
+    deviation[..., 0] -= ijk[:, 0] / n
+    deviation[..., 1] -= ijk[:, 1] / n
+    deviation[..., 3] -= 1.0
+    leaves = Leaves(
+        patch=patch,
+        domain=domain * moebius[:, None, :],
+        exact=np.zeros(len(nets), dtype=bool),
+        shift=shift,
+        frame=frame,
+        form=form,
+        net=bernstein.monomial_matrix(n) @ deviation,
+        box=BezierTriangles(nets).hulls(),
+        certified=good.copy(),
+        group=np.full(len(nets), -1),
+        axes=np.broadcast_to(np.eye(3), (len(nets), 3, 3)),
+        span=np.zeros((len(nets), 2, 3)),
+    )
+    return leaves, good
+
+
+def _rounding(nets: np.ndarray, shift: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return what culling may be off at the chart coordinates of finite leaves; see `_CULLING`."""
+    with np.errstate(all="ignore"):
+        extent = np.abs(_affine(nets) - shift[:, None]).max(axis=1).sum(axis=1)
+        return np.nan_to_num(_CULLING * np.abs(frame[:, :3, :3]).max(axis=(1, 2)) * extent)
+
+
+@cache
+def _seven(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return matrices to the values and partials at corners, middles of edges and the middle."""
+    uv = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0, 0.5], [0.5, 0.5], [1 / 3, 1 / 3]])
+    du, dv = bernstein.partials_matrices(n)
+    lower = bernstein.basis(n - 1, uv)
+    return bernstein.basis(n, uv), lower @ du, lower @ dv
+
+
+def _hopeless(chart: np.ndarray, settings: LeafSettings) -> np.ndarray:
+    """Tell from seven points which leaves are too crooked: most are, and bounds are dear."""
+    value, du, dv = (m @ chart for m in _seven(bernstein.degree_of(chart.shape[1])))
+    inv = 1.0 / value[..., 3:]
+    p = value[..., :3] * inv
+    pu, pv = (du[..., :3] - p * du[..., 3:]) * inv, (dv[..., :3] - p * dv[..., 3:]) * inv
+    bent = np.stack([pu[..., :2], pv[..., :2]], axis=-1) - np.eye(2)
+    lateral = np.linalg.norm(bent, ord=2, axis=(-2, -1)).max(axis=1)
+    return (lateral > settings.lateral) | (np.abs(p[..., 2]).max(axis=1) > settings.height)

@@ -1,0 +1,1 @@
+"""The integrators, and what they share."""

@@ -1,0 +1,82 @@
+"""The integrator plugin ``bezierpath``: Mitsuba's `path`, with exact Bézier shapes."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ... import _runtime
+from .depths import check_depths
+from .path_replay import replay
+from .path_tracing import trace
+
+__all__ = ["make_path_class"]
+
+
+def make_path_class() -> type:
+    """Return the class for the variant that is set now."""
+    # Mitsuba reloads this module when the variant changes
+    base = import_module("mitsuba.python.ad.integrators.common").RBIntegrator
+
+    class BezierPath(base):  # type: ignore[misc, valid-type]
+        r"""
+        .. _integrator-bezierpath:
+
+        Path tracer with Bézier shapes (:monosp:`bezierpath`)
+        -----------------------------------------------------
+
+        .. pluginparameters::
+
+         * - max_depth
+           - |int|
+           - Longest path depth in the image, -1 for no limit; 1 shows directly visible
+             emitters only, 2 direct light, and so on (Default: -1).
+         * - rr_depth
+           - |int|
+           - Path depth from which Russian roulette ends paths (Default: 5).
+         * - hide_emitters
+           - |bool|
+           - Hide directly visible emitters (Default: |false|).
+
+        Samples BSDFs and emitters and combines both by multiple importance sampling, as
+        Mitsuba's `path` does, whose parameters and defaults it has. It sees `beziertriangle`
+        shapes exactly, and every other shape of Mitsuba. Derivatives, forward and reverse, by path
+        replay have the estimator of `prb`; they leave out what moves at outlines, which
+        `bezier_prb_projective` takes in.
+        """
+
+        def __init__(self, props: mi.Properties) -> None:
+            _runtime.check(mi.variant())
+            check_depths(props)
+            super().__init__(props)
+            #: Whether a derivative without any contribution within surfaces is no mistake
+            self.interior_may_be_constant = False
+
+        def sample(
+            self,
+            mode: Any,
+            scene: Any,
+            sampler: Any,
+            ray: Any,
+            δL: Any = None,
+            state_in: Any = None,
+            active: Any = True,
+            **kwargs: Any,
+        ) -> tuple:
+            """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
+            if mode == dr.ADMode.Primal:
+                L, valid = trace(self, scene, sampler, ray, active)
+                return L, valid, [], L
+            δL, valid, rest = replay(self, mode, scene, sampler, ray, δL, state_in, active)
+            return δL, valid, [], rest
+
+        def to_string(self) -> str:
+            return (
+                f"BezierPath[\n  max_depth = {self.max_depth},\n"
+                f"  rr_depth = {self.rr_depth},\n  hide_emitters = {self.hide_emitters}\n]"
+            )
+
+    return BezierPath

@@ -1,0 +1,276 @@
+"""The integrator plugin ``beziervolpath``: Mitsuba's `volpath`, with exact Bézier shapes."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ... import _runtime
+from ...errors import BezierError
+from ..interaction import Preliminary
+from ..scene import SceneRays
+from .depths import check_depths
+from .emitters import EmitterSampling
+from .media import Media, flight_channel, flight_weight, hit_distance, transmittance
+from .path_tracing import mis_weight
+
+__all__ = ["make_volpath_class"]
+
+
+def make_volpath_class() -> type:
+    """Return the class for the variant that is set now."""
+    # Mitsuba reloads this module when the variant changes
+    base = import_module("mitsuba.python.ad.integrators.common").RBIntegrator
+
+    class BezierVolPath(base):  # type: ignore[misc, valid-type]
+        r"""
+        .. _integrator-beziervolpath:
+
+        Volumetric path tracer with Bézier shapes (:monosp:`beziervolpath`)
+        -------------------------------------------------------------------
+
+        .. pluginparameters::
+
+         * - max_depth
+           - |int|
+           - Longest path depth in the image, -1 for no limit; 1 shows directly visible
+             emitters only, 2 light scattered once, and so on (Default: -1).
+         * - rr_depth
+           - |int|
+           - Path depth beyond which Russian roulette ends paths (Default: 5).
+         * - hide_emitters
+           - |bool|
+           - Hide directly visible emitters (Default: |false|).
+
+        Path tracer for scenes with homogeneous and heterogeneous media, with the parameters and
+        defaults of Mitsuba's `volpath`. Media are bounded by `beziertriangle` shapes, which it
+        sees exactly, or by any other shape of Mitsuba. Collisions are sampled by delta tracking;
+        light is sampled, too, and reaches into media through boundaries with a `null` BSDF.
+
+        Three things differ from `volpath`: light on its way through a homogeneous medium is
+        taken by the formula, not by chance; the colour that chooses a distance is drawn for each
+        flight, not for each path; and hidden emitters let rays pass inside of media, too.
+
+        Derivatives are not implemented.
+        """
+
+        def __init__(self, props: mi.Properties) -> None:
+            _runtime.check(mi.variant())
+            check_depths(props)
+            super().__init__(props)
+            self._sensor_medium: Any = None
+
+        def prepare(self, sensor: Any, *args: Any, **kwargs: Any) -> tuple:
+            """Make sampler and film ready; remember in which medium the sensor is."""
+            self._sensor_medium = sensor.get_medium()
+            return super().prepare(sensor, *args, **kwargs)
+
+        def sample(
+            self,
+            mode: Any,
+            scene: Any,
+            sampler: Any,
+            ray: Any,
+            δL: Any = None,
+            state_in: Any = None,
+            active: Any = True,
+            **kwargs: Any,
+        ) -> tuple:
+            """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
+            if mode != dr.ADMode.Primal:
+                raise BezierError.expected(
+                    "beziervolpath", "a render without derivatives (bezierpath has them)", mode
+                )
+            L, valid = _trace(self, scene, sampler, ray, active, self._sensor_medium)
+            return L, valid, [], L
+
+        def to_string(self) -> str:
+            return (
+                f"BezierVolPath[\n  max_depth = {self.max_depth},\n"
+                f"  rr_depth = {self.rr_depth},\n  hide_emitters = {self.hide_emitters}\n]"
+            )
+
+    return BezierVolPath
+
+
+def _as_reference(p: Any, n: Any, like: Any) -> Any:
+    """Return the point of a scattering event, as emitter sampling takes it."""
+    ref = dr.zeros(mi.Interaction3f)
+    ref.p, ref.n, ref.time, ref.wavelengths = p, n, like.time, like.wavelengths
+    return ref
+
+
+def _trace(
+    integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any, sensor_medium: Any
+) -> tuple[Any, Any]:
+    """Trace one path a lane; return its radiance and whether it met anything."""
+    rays = SceneRays(scene)
+    emitters = EmitterSampling(rays)
+    media = Media(scene, sensor_medium)
+    context = mi.BSDFContext()
+    max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
+    hide = integrator.hide_emitters
+
+    ray = mi.Ray3f(dr.detach(ray))
+    if max_depth == 0:
+        return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray))
+    start = dr.zeros(mi.MediumPtr) if sensor_medium is None else mi.MediumPtr(sensor_medium)
+    state = {
+        "ray": ray,
+        "hit": Preliminary.miss(),
+        "search": mi.Bool(True),  # the next hit of the ray is not known yet
+        "medium": start,
+        "throughput": mi.Spectrum(1.0),
+        "result": mi.Spectrum(0.0),
+        "eta": mi.Float(1.0),
+        "depth": mi.UInt32(0),
+        "valid": mi.Bool(not hide and scene.environment() is not None),
+        "active": mi.Bool(active),
+        # the last scattering that was no straight passage: what sampled the direction since
+        "last": dr.zeros(mi.Interaction3f),
+        "last_pdf": mi.Float(1.0),
+        "direct": mi.Bool(True),  # emitters met now cannot have been sampled from there
+        "sampler": sampler,
+    }
+
+    def body(st: dict) -> tuple[dict]:
+        ray, medium, sampler = mi.Ray3f(st["ray"]), st["medium"], st["sampler"]
+        active, depth, throughput = st["active"], st["depth"], st["throughput"]
+        collides = scatters = mi.Bool(False)
+
+        # ---- a flight through the medium, up to the next surface at the most
+        if media:
+            inside = active & (medium != None)  # noqa: E711
+            channel = flight_channel(sampler.next_1d(inside)) if mi.is_rgb else mi.UInt32(0)
+            mei = medium.sample_interaction(ray, sampler.next_1d(inside), channel, inside)
+            if media.homogeneous:  # it ends there or before, so look no further
+                ends = inside & mei.is_valid() & medium.is_homogeneous()
+                ray.maxt = dr.select(ends, mei.t, ray.maxt)
+        search = active & st["search"]
+        hit = dr.select(search, rays.preliminary(ray, False, search), st["hit"])
+        if media:
+            distance = hit_distance(hit)
+            collides = inside & mei.is_valid() & ~(distance < mei.t)
+            mei.t = dr.select(collides, mei.t, dr.inf)
+            weight = flight_weight(medium, mei, distance, inside)
+            scatters = collides
+            if media.heterogeneous:
+                chance = dr.mean(mei.sigma_t / mei.combined_extinction)
+                scatters = collides & (sampler.next_1d(collides) < chance)
+                # a null collision: the ray goes on from there
+                null = collides & ~scatters
+                weight = dr.select(null, weight * mei.sigma_n * dr.rcp(1.0 - chance), weight)
+                weight = dr.select(scatters, weight * dr.rcp(chance), weight)
+                ray.o = dr.select(null, mei.p, ray.o)
+                hit.pi.t = dr.select(null, hit.pi.t - mei.t, hit.pi.t)
+            weight = dr.select(scatters, weight * mei.sigma_s, weight)
+            throughput = throughput * mi.Spectrum(dr.select(inside, weight, 1.0))
+            depth = dr.select(scatters, depth + 1, depth)
+            active = active & (depth < max_depth)
+            scatters = scatters & active
+
+        # ---- emission of what the ray met
+        surface = active & ~collides
+        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, surface)
+        emitter = si.emitter(scene, surface)
+        ds = mi.DirectionSample3f(scene, si=si, ref=st["last"])
+        emits = surface & (emitter != None)  # noqa: E711
+        passes = mi.Bool(False)
+        if hide:
+            seen = emits & (depth == 0)
+            emits = emits & ~seen
+            passes = seen & si.is_valid()
+        direct = st["direct"] | (depth == 0)
+        pdf = emitters.pdf(st["last"], ds, si, hit, emits & ~direct)
+        share = dr.select(direct, 1.0, mis_weight(st["last_pdf"], pdf))
+        result = st["result"] + dr.select(
+            emits, throughput * ds.emitter.eval(si, emits) * share, 0.0
+        )
+        surface = surface & si.is_valid()
+        bounces = surface & ~passes
+        bsdf = si.bsdf(ray)
+
+        # ---- a sample of the emitters, from a surface or from inside of a medium
+        asks = bounces & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & (depth + 1 < max_depth)
+        ref = _as_reference(si.p, si.n, ray)
+        if media:
+            asks = asks | (scatters & medium.use_emitter_sampling())
+            ref.p, ref.n = dr.select(scatters, mei.p, si.p), dr.select(scatters, 0.0, si.n)
+        ds, em_weight = emitters.sample(ref, sampler.next_2d(asks), asks)
+        asks = asks & (ds.pdf != 0.0)
+        crosses = surface & si.is_medium_transition()
+        into = dr.select(crosses, si.target_medium(ds.d), medium)
+        shadow = ref.spawn_ray_to(ds.p)
+        arrives = em_weight * transmittance(rays, media, shadow, into, sampler, asks)
+        wo = si.to_local(ds.d)
+        value, pdf, sample, new_weight = bsdf.eval_pdf_sample(
+            context, si, wo, sampler.next_1d(bounces), sampler.next_2d(bounces), bounces
+        )
+        value = si.to_world_mueller(value, -wo, si.wi)
+        new_weight = si.to_world_mueller(new_weight, -sample.wo, si.wi)
+        new_pdf, new_ray = sample.pdf, si.spawn_ray(si.to_world(sample.wo))
+        if media:
+            phase_context = mi.PhaseFunctionContext(sampler)
+            phase = medium.phase_function()
+            phase_value, phase_pdf = phase.eval_pdf(phase_context, mei, ds.d, scatters & asks)
+            value = dr.select(scatters, phase_value, value)
+            pdf = dr.select(scatters, phase_pdf, pdf)
+            d, weight, density = phase.sample(
+                phase_context, mei, sampler.next_1d(scatters), sampler.next_2d(scatters), scatters
+            )
+            new_weight = dr.select(scatters, weight, new_weight)
+            new_pdf = dr.select(scatters, density, new_pdf)
+            new_ray = dr.select(scatters, mei.spawn_ray(d), new_ray)
+        mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
+        result = result + dr.select(asks, throughput * value * arrives * mis, 0.0)
+
+        # ---- the next ray
+        turns = bounces | scatters
+        new_ray = dr.select(passes, si.spawn_ray(ray.d), new_ray)
+        ray = dr.select(turns | passes, new_ray, ray)
+        throughput = dr.select(turns, throughput * new_weight, throughput)
+        eta = dr.select(bounces, st["eta"] * sample.eta, st["eta"])
+        straight = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        bends = bounces & ~straight
+        depth = dr.select(bends, depth + 1, depth)
+        last = dr.select(bends | scatters, ref, st["last"])
+        last_pdf = dr.select(bends | scatters, new_pdf, st["last_pdf"])
+        direct = st["direct"] | (bends & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta))
+        direct = direct & ~(bounces & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Smooth))
+        if media:
+            direct = dr.select(scatters, ~medium.use_emitter_sampling(), direct)
+        medium = dr.select(crosses, si.target_medium(ray.d), medium)
+
+        # ---- Russian roulette; eta^2 undoes the solid angle compression of refraction
+        active = (turns | passes | (active & collides)) & (depth < max_depth)
+        strongest = dr.max(mi.unpolarized_spectrum(throughput))
+        survive = dr.minimum(strongest * dr.square(eta), 0.95)
+        roulette = active & (depth > rr_depth)
+        goes_on = sampler.next_1d(roulette) < survive
+        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
+        active = active & (~roulette | goes_on) & (strongest != 0.0)
+        return (
+            {
+                "ray": ray,
+                "hit": hit,
+                "search": turns | passes,
+                "medium": medium,
+                "throughput": throughput,
+                "result": result,
+                "eta": eta,
+                "depth": depth,
+                "valid": st["valid"] | bends | scatters,
+                "active": active,
+                "last": last,
+                "last_pdf": last_pdf,
+                "direct": direct,
+                "sampler": sampler,
+            },
+        )
+
+    label = "beziervolpath"
+    (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label=label)
+    return state["result"], state["valid"]

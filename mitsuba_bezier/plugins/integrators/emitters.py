@@ -1,0 +1,238 @@
+"""Sampling of emitters, with exact area sampling of those that sit on Bézier shapes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..interaction import Preliminary
+from ..native.originals import original
+from ..scene import SceneRays
+from ..surface_sampling import SurfaceSampling, direction_sample
+
+__all__ = ["EmitterSampling"]
+
+_NONE = 0xFFFFFFFF
+
+
+def _number(emitter: Any) -> int:
+    return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
+
+
+class EmitterSampling:
+    """What `mi.Scene` does for emitters, where the C++ side cannot see the surface.
+
+    Emitters are chosen as the scene chooses them. An area light on a Bézier shape is sampled
+    here; all others by their own plugin.
+    """
+
+    def __init__(self, rays: SceneRays) -> None:
+        self.rays = rays
+        self.scene = rays.scene
+        self.surfaces: SurfaceSampling | None = None
+        data = rays.data
+        numbers = [i for i, s in enumerate(data.shapes) if s.is_emitter()] if data else []
+        if not numbers:
+            return
+        assert data is not None
+        self.surfaces = data.surface_sampling(tuple(numbers), by_emission=True)
+        emitters = self.scene.emitters()
+        of_emitter = np.full(len(emitters), _NONE, dtype=np.uint32)
+        emitter_of = np.zeros(len(numbers), dtype=np.uint32)
+        for light, number in enumerate(numbers):
+            pointer = data.shapes[number].emitter().ptr
+            index = next(i for i, e in enumerate(emitters) if e.ptr == pointer)
+            of_emitter[index], emitter_of[light] = light, index
+        of_shape = np.full(len(data.shapes), _NONE, dtype=np.uint32)
+        of_shape[numbers] = np.arange(len(numbers))
+        self.of_emitter, self.emitter_of, self.of_shape = (
+            data.kept(mi.UInt32, table) for table in (of_emitter, emitter_of, of_shape)
+        )
+        self.pointers = self.scene.emitters_dr()
+        #: Which of these emitters send light along the normal only
+        self.beamed = [emitters[i].class_name() == "DirectionalArea" for i in emitter_of]
+        #: Mitsuba's numbers of these emitters
+        self.numbers = [_number(emitters[index]) for index in emitter_of]
+
+    def sample(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any]:
+        """Return a direction sample and its weight; visibility is not tested."""
+        return self.sample_hit(si, sample, active)[:2]
+
+    def sample_hit(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Preliminary]:
+        """Return what `sample` does, and the sampled point as a hit where it is on a patch."""
+        if self.surfaces is None:
+            return (
+                *original(self.scene, "sample_emitter_direction")(si, sample, False, active),
+                Preliminary.miss(),
+            )
+        index, weight, x = self.scene.sample_emitter(sample.x, active)
+        sample = mi.Point2f(x, sample.y)
+        light = dr.gather(mi.UInt32, self.of_emitter, index, active)
+        ours = active & (light != _NONE)
+        emitter = dr.gather(mi.EmitterPtr, self.pointers, index, active)
+        ds, value = emitter.sample_direction(si, sample, active & ~ours)
+
+        light = dr.select(ours, light, 0)
+        patch, u, v, linear = self.surfaces.sample_parameters(light, sample, ours)
+        exact = direction_sample(self.surfaces.position(patch, u, v, linear, ours), si)
+        exact.emitter = emitter
+        data = self.rays.data
+        assert data is not None
+        there = dr.zeros(mi.SurfaceInteraction3f, dr.width(exact.dist))
+        there.p, there.n, there.uv = exact.p, exact.n, exact.uv
+        there.sh_frame = mi.Frame3f(exact.n)
+        there.shape, there.prim_index = data.owner(patch, ours)
+        there.wi = there.to_local(-exact.d)
+        there.wavelengths, there.time = si.wavelengths, si.time
+        there.t = exact.dist
+        radiance = emitter.eval(there, ours)
+        ds = dr.select(ours, exact, ds)
+        value = dr.select(ours, dr.select(exact.pdf > 0, radiance * dr.rcp(exact.pdf), 0.0), value)
+        pmf = self.scene.pdf_emitter(index, active)
+        ds.pdf = ds.pdf * pmf
+        hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), ours, patch)
+        hit.pi.t, hit.pi.prim_uv, hit.pi.shape = exact.dist, mi.Point2f(u, v), there.shape
+        hit.pi.prim_index, hit.pi.valid = there.prim_index, ours
+        return ds, value * weight, hit
+
+    def pdf(self, ref: Any, ds: Any, si: Any, hit: Any, active: Any) -> Any:
+        """Return the density of `sample` for a direction that met an emitter.
+
+        Parameters
+        ----------
+        ref : mi.Interaction3f
+            From where.
+        ds : mi.DirectionSample3f
+            The direction.
+        si : mi.SurfaceInteraction3f
+            What it met.
+        hit : Preliminary
+            The same, with the patch.
+        active : Bool
+        """
+        if self.surfaces is None:
+            return dr.select(
+                active, original(self.scene, "pdf_emitter_direction")(ref, ds, active), 0.0
+            )
+        data = self.rays.data
+        assert data is not None
+        number = dr.gather(mi.UInt32, data.patch_shape, hit.patch, active & hit.bezier)
+        light = dr.gather(mi.UInt32, self.of_shape, number, active & hit.bezier)
+        ours = active & hit.bezier & (light != _NONE)
+        light = dr.select(ours, light, 0)
+        theirs = active & ~hit.bezier
+        pdf = dr.select(theirs, original(self.scene, "pdf_emitter_direction")(ref, ds, theirs), 0.0)
+        area = self.surfaces.pdf(light, hit.patch, hit.pi.prim_uv, ours)
+        cosine = dr.abs(dr.dot(ds.d, si.n))
+        exact = dr.select(cosine > 0, area * dr.square(ds.dist) / cosine, 0.0)
+        index = dr.gather(mi.UInt32, self.emitter_of, light, ours)
+        return dr.select(ours, exact * self.scene.pdf_emitter(index, ours), pdf)
+
+    def pdf_of_direction(self, ref: Any, ds: Any, active: Any) -> Any:
+        """Return the density of `sample` for a direction sample that may be anybody's.
+
+        Where its emitter sits on Bézier shapes, a short ray at ``ds.p`` along ``ds.n`` finds the
+        patch.
+
+        Parameters
+        ----------
+        ref : mi.Interaction3f
+            From where.
+        ds : mi.DirectionSample3f
+            The direction, with point, normal and emitter.
+        active : Bool
+        """
+        theirs = original(self.scene, "pdf_emitter_direction")
+        if self.surfaces is None:
+            return theirs(ref, ds, active)
+        light, ours = self._light_of(ds.emitter, active)
+        area = self.surfaces.pdf_at(light, ds.p, ds.n, ours)
+        cosine = dr.abs(dr.dot(ds.d, ds.n))
+        exact = dr.select(cosine > 0, area * dr.square(ds.dist) / cosine, 0.0)
+        index = dr.gather(mi.UInt32, self.emitter_of, light, ours)
+        exact = exact * self.scene.pdf_emitter(index, ours)
+        other = active & ~ours
+        return dr.select(ours, exact, dr.select(other, theirs(ref, ds, other), 0.0))
+
+    def _light_of(self, emitter: Any, active: Any) -> tuple[Any, Any]:
+        """Return the numbers in `surfaces` of emitters on Bézier shapes, and which are such."""
+        numbers = dr.reinterpret_array(mi.UInt32, emitter)
+        light, ours = mi.UInt32(0), mi.Bool(False)
+        for k, number in enumerate(self.numbers):
+            same = numbers == number
+            light, ours = dr.select(same, k, light), ours | same
+        return light, ours & active
+
+    def sample_position(
+        self, index: Any, time: Any, sample: Any, active: Any
+    ) -> tuple[Any, Any, Any]:
+        """Sample a point on emitters of finite extent.
+
+        Parameters
+        ----------
+        index : UInt32
+            Numbers of emitters, of Bézier shapes or not.
+        time : Float
+        sample : Point2f
+        active : Bool
+
+        Returns
+        -------
+        mi.PositionSample3f, one over its density, mi.ShapePtr
+            The shape that the emitter sits on.
+        """
+        emitter = dr.gather(mi.EmitterPtr, self.scene.emitters_dr(), index, active)
+        shape = emitter.get_shape()
+        if self.surfaces is None:
+            return *emitter.sample_position(time, sample, active), shape
+        light = dr.gather(mi.UInt32, self.of_emitter, index, active)
+        ours = active & (light != _NONE)
+        ps, weight = emitter.sample_position(time, sample, active & ~ours)
+        light = dr.select(ours, light, 0)
+        patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample), ours)
+        exact = self.surfaces.position(patch, u, v, linear, ours)
+        exact.time = time
+        inverse = dr.select(exact.pdf > 0, dr.rcp(exact.pdf), 0.0)
+        return dr.select(ours, exact, ps), dr.select(ours, inverse, weight), shape
+
+    def sample_ray(
+        self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any
+    ) -> tuple[Any, Any, Any]:
+        """Sample a ray that leaves an emitter, as `mi.Scene.sample_emitter_ray` does.
+
+        Returns
+        -------
+        mi.Ray3f, weight, mi.EmitterPtr
+        """
+        if self.surfaces is None:
+            own = original(self.scene, "sample_emitter_ray")
+            return own(time, sample1, sample2, sample3, active)
+        index, weight, rest = self.scene.sample_emitter(sample1, active)
+        light = dr.gather(mi.UInt32, self.of_emitter, index, active)
+        ours = active & (light != _NONE)
+        emitter = dr.gather(mi.EmitterPtr, self.pointers, index, active)
+        ray, value = emitter.sample_ray(time, rest, sample2, sample3, active & ~ours)
+
+        # as area lights do: a point by area, a direction by the cosine, whose density cancels
+        light = dr.select(ours, light, 0)
+        patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample2), ours)
+        ps = self.surfaces.position(patch, u, v, linear, ours)
+        si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ps.pdf))
+        si.p, si.n, si.uv, si.time = ps.p, ps.n, ps.uv, time
+        si.sh_frame = mi.Frame3f(ps.n)
+        data = self.rays.data
+        assert data is not None
+        si.shape, si.prim_index = data.owner(patch, ours)
+        si.wavelengths, radiance = emitter.sample_wavelengths(si, rest, ours)
+        local = mi.warp.square_to_cosine_hemisphere(sample3)
+        angle = mi.Float(dr.pi)
+        for k, beamed in enumerate(self.beamed):  # `directionalarea`: along the normal only
+            if beamed:
+                local = dr.select(light == k, mi.Vector3f(0, 0, 1), local)
+                angle = dr.select(light == k, 1.0, angle)
+        exact = si.spawn_ray(si.to_world(local))
+        flux = mi.Spectrum(radiance) * dr.select(ps.pdf > 0, angle / ps.pdf, 0.0)
+        return dr.select(ours, exact, ray), dr.select(ours, flux, value) * weight, emitter

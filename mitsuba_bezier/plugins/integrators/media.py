@@ -1,0 +1,176 @@
+"""Flights through participating media, and what gets through on the way to an emitter.
+
+A flight leads to the next *tentative* collision, at a distance sampled by a majorant of the
+extinction (delta tracking; for this and ratio tracking see Novák, Georgiev, Hanika, Jarosz, "Monte
+Carlo Methods for Volumetric Light Transport Simulation", 2018). In RGB variants the colour that
+chooses the distance is drawn anew for each flight, and weights are taken with the mean density of
+the colours. That is right for every spectrum, and less noisy than one colour for a whole path.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..interaction import Preliminary
+from ..scene import SceneRays
+
+__all__ = ["Media", "flight_channel", "flight_weight", "hit_distance", "transmittance"]
+
+
+class Media:
+    """Which kinds of media a scene has, so that kernels hold nothing that is never used.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    initial : mi.Medium or None
+        The medium of the sensor.
+    """
+
+    def __init__(self, scene: Any, initial: Any = None) -> None:
+        media = [initial]
+        grouped = False  # shapes of a group are not in the scene's list
+        for shape in scene.shapes():
+            media += [shape.interior_medium(), shape.exterior_medium()]
+            grouped = grouped or "Instance" in shape.class_name()
+        kinds = {bool(m.is_homogeneous()) for m in media if m is not None}
+        self.homogeneous = grouped or True in kinds
+        self.heterogeneous = grouped or False in kinds
+        self.initial = initial
+
+    def __bool__(self) -> bool:
+        return self.homogeneous or self.heterogeneous
+
+
+def flight_channel(sample: Any) -> Any:
+    """Return the colour that chooses a flight's distance, from a uniform number."""
+    return dr.minimum(mi.UInt32(sample * 3), 2) if mi.is_rgb else mi.UInt32(0)
+
+
+def hit_distance(hit: Preliminary) -> Any:
+    """Return the distance of a hit, infinite for none."""
+    return dr.select(hit.pi.is_valid(), hit.pi.t, dr.inf)
+
+
+def _transmittance(medium: Any, mei: Any, limit: Any, active: Any) -> tuple[Any, Any]:
+    """Return transmittance and density of a flight, by colour."""
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.t = limit
+    return medium.transmittance_eval_pdf(mei, si, active)
+
+
+def flight_weight(medium: Any, mei: Any, limit: Any, active: Any) -> Any:
+    """Return transmittance over density of a flight.
+
+    Parameters
+    ----------
+    medium : mi.MediumPtr
+    mei : mi.MediumInteraction3f
+        ``t`` is infinite if the flight passes `limit`.
+    limit : mi.Float
+        Distance of a surface or of the end of the ray.
+    active : mi.Bool
+
+    Returns
+    -------
+    mi.UnpolarizedSpectrum
+    """
+    tr, pdf = _transmittance(medium, mei, limit, active)
+    density = dr.mean(pdf) if mi.is_rgb else pdf[0]
+    return dr.select(density > 0, tr * dr.rcp(density), 0.0)
+
+
+def transmittance(
+    rays: SceneRays, media: Media, ray: Any, medium: Any, sampler: Any, active: Any
+) -> Any:
+    """Return what of the light gets along rays, through media and index-matched surfaces.
+
+    Homogeneous media by their formula, others by ratio tracking, which is an unbiased estimate.
+    Surfaces let pass what `eval_null_transmission` of their BSDF tells.
+
+    Parameters
+    ----------
+    rays : SceneRays
+    media : Media
+    ray : mi.Ray3f
+        Up to ``maxt``.
+    medium : mi.MediumPtr
+        Where it starts.
+    sampler : mi.Sampler
+    active : mi.Bool
+
+    Returns
+    -------
+    mi.Spectrum
+        A Mueller matrix in polarized variants.
+    """
+    state = {
+        "ray": mi.Ray3f(ray),
+        "left": mi.Float(ray.maxt),
+        "hit": Preliminary.miss(),
+        "search": mi.Bool(active),
+        "medium": mi.MediumPtr(medium),
+        "through": mi.Spectrum(1.0),
+        "active": mi.Bool(active),
+        "sampler": sampler,
+    }
+
+    def body(st: dict) -> tuple[dict]:
+        ray, left, medium, sampler = mi.Ray3f(st["ray"]), st["left"], st["medium"], st["sampler"]
+        active, through = st["active"], st["through"]
+        ray.maxt = left
+        search = active & st["search"]
+        hit = dr.select(search, rays.preliminary(ray, False, search), st["hit"])
+        distance = hit_distance(hit)
+        collides = mi.Bool(False)
+
+        if media:
+            inside = active & (medium != None)  # noqa: E711
+            limit = dr.minimum(distance, left)
+            known = medium.is_homogeneous() if media.homogeneous else mi.Bool(False)
+            sample, channel = mi.Float(0.0), mi.UInt32(0)
+            if media.heterogeneous:
+                sample = sampler.next_1d(inside & ~known)
+                if mi.is_rgb:
+                    channel = flight_channel(sampler.next_1d(inside & ~known))
+            mei = medium.sample_interaction(ray, sample, channel, inside)
+            collides = inside & ~known & (mei.t < limit)
+            mei.t = dr.select(collides, mei.t, dr.inf)
+            weight, _pdf = _transmittance(medium, mei, limit, inside)
+            if media.heterogeneous:
+                weight = dr.select(known, weight, flight_weight(medium, mei, limit, inside))
+                weight = dr.select(collides, weight * mei.sigma_n, weight)
+                ray.o = dr.select(collides, mei.p, ray.o)
+                left = dr.select(collides, left - mei.t, left)
+                hit.pi.t = dr.select(collides, hit.pi.t - mei.t, hit.pi.t)
+            through = through * mi.Spectrum(dr.select(inside, weight, 1.0))
+
+        surface = active & ~collides & (distance < left)
+        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, surface)
+        passed = si.bsdf(ray).eval_null_transmission(si, surface)
+        passed = si.to_world_mueller(passed, si.wi, si.wi)
+        through = dr.select(surface, through * passed, through)
+        ray = dr.select(surface, si.spawn_ray(ray.d), ray)
+        left = dr.select(surface, left - distance, left)
+        crosses = surface & si.is_medium_transition()
+        medium = dr.select(crosses, si.target_medium(ray.d), medium)
+        lit = dr.max(mi.unpolarized_spectrum(through)) != 0.0
+        return (
+            {
+                "ray": ray,
+                "left": left,
+                "hit": hit,
+                "search": surface,
+                "medium": medium,
+                "through": through,
+                "active": (collides | surface) & (left > 0.0) & lit,
+                "sampler": sampler,
+            },
+        )
+
+    label = "beziervolpath: transmittance"
+    (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label=label)
+    return state["through"]

@@ -1,0 +1,276 @@
+"""Path replay: derivatives of `bezierpath`, forward and reverse, in constant memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ...errors import BezierError
+from ..interaction import Preliminary
+from ..native.originals import original
+from ..scene import SceneRays
+from .emitters import EmitterSampling
+from .path_tracing import mis_weight, skip_emitters
+
+__all__ = ["replay"]
+
+
+def _area_per_solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
+    """Return ``cos / distance^2`` at `p` seen from `o`: how solid angle follows area."""
+    d = p - o
+    square = dr.squared_norm(dr.select(active, d, 1.0))
+    return dr.select(active, dr.abs_dot(n, d) / (square * dr.sqrt(square)), 1.0)
+
+
+def replay(
+    integrator: Any,
+    mode: Any,
+    scene: Any,
+    sampler: Any,
+    ray: Any,
+    δL: Any,
+    state_in: Any,
+    active: Any,
+) -> tuple[Any, Any, Any]:
+    """Trace the paths of a primal pass again and differentiate each of their vertices.
+
+    The estimator is that of Mitsuba's `prb` (Vicini, Speierer and Jakob, "Path replay
+    backpropagation", 2021): directions are sampled without derivatives. Motion of a vertex moves
+    it along the fixed ray that met it; towards the next vertex and towards a point sampled on an
+    emitter, which stay where they are, it changes direction and solid angle. What passes edges
+    and silhouettes has no part in it.
+
+    Parameters
+    ----------
+    integrator : BezierPath
+    mode : dr.ADMode
+        Forward or Backward.
+    scene, sampler, ray, active
+        As for the primal pass, the sampler in the same state.
+    δL : mi.Spectrum or None
+        Derivative of the loss by the radiance of each ray (Backward).
+    state_in : mi.Spectrum
+        The radiances that the primal pass returned.
+
+    Returns
+    -------
+    derivative of the radiance (Forward; else `δL`), whether the ray met anything, what is left
+    of `state_in`: roundings
+    """
+    if mi.is_polarized:
+        raise BezierError.expected(
+            "bezierpath", "a variant without polarization for derivatives", mi.variant()
+        )
+    rays = SceneRays(scene)
+    with rays.attach(mode):
+        return _replay(integrator, rays, mode, sampler, ray, δL, state_in, active)
+
+
+def _replay(
+    integrator: Any,
+    rays: SceneRays,
+    mode: Any,
+    sampler: Any,
+    ray: Any,
+    δL: Any,
+    state_in: Any,
+    active: Any,
+) -> tuple[Any, Any, Any]:
+    scene = rays.scene
+    emitters = EmitterSampling(rays)
+    context = mi.BSDFContext()
+    max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
+    hide = integrator.hide_emitters
+
+    ray = mi.Ray3f(dr.detach(ray))
+    active = mi.Bool(active)
+    if max_depth == 0:
+        return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray)), state_in
+    if hide:
+        ray = skip_emitters(rays, ray, active)
+
+    state = {
+        "ray": ray,
+        "hit": rays.preliminary(ray, True, active),
+        "prev_ray": ray,
+        "prev_hit": Preliminary.miss(),
+        "throughput": mi.Spectrum(1.0),
+        "rest": mi.Spectrum(state_in),
+        "derivative": mi.Spectrum(0.0 if δL is None else δL),
+        "eta": mi.Float(1.0),
+        "depth": mi.UInt32(0),
+        "valid": mi.Bool(not hide and scene.environment() is not None),
+        "active": active,
+        "prev_si": dr.zeros(mi.SurfaceInteraction3f),
+        "prev_pdf": mi.Float(1.0),
+        "prev_delta": mi.Bool(True),
+        "sampler": sampler,
+    }
+
+    def body(st: dict) -> tuple[dict]:
+        st = dict(st)
+        ray, hit, sampler, active = st["ray"], st["hit"], st["sampler"], st["active"]
+        throughput, prev = st["throughput"], st["prev_si"]
+        with dr.resume_grad():
+            si = rays.surface_interaction(hit, ray, mi.RayFlags.All, active)
+            # the vertex before may move: then light leaves here into another direction
+            indirect = active & (st["depth"] > 0) & si.is_valid()
+            before = rays.surface_interaction(
+                st["prev_hit"], st["prev_ray"], mi.RayFlags.Minimal, indirect
+            )
+            here = dr.detach(si)
+            towards = dr.normalize(dr.select(indirect, before.p - here.p, mi.Vector3f(0, 0, 1)))
+            wi = dr.select(indirect, here.to_local(towards), si.wi)
+            si.wi = dr.replace_grad(si.wi, wi)
+
+        # ---- emission met by the BSDF's sample
+        emitter = si.emitter(scene, active)
+        ds = mi.DirectionSample3f(scene, si=dr.detach(si), ref=prev)
+        emits = active & (emitter != None)  # noqa: E711
+        if hide:
+            emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
+        pdf = emitters.pdf(prev, ds, dr.detach(si), hit, emits & ~st["prev_delta"])
+        weight = mis_weight(st["prev_pdf"], pdf)
+        with dr.resume_grad():
+            emitted = dr.select(emits, throughput * ds.emitter.eval(si, emits) * weight, 0.0)
+
+        active_next = active & (st["depth"] + 1 < max_depth) & si.is_valid()
+        bsdf = si.bsdf(ray)
+        here = dr.detach(si)
+
+        # ---- a sample of the emitters
+        smooth = active_next & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        ds, em_weight, em_hit = emitters.sample_hit(here, sampler.next_2d(active_next), smooth)
+        smooth = smooth & (ds.pdf != 0.0)
+        smooth = smooth & ~rays.test(here.spawn_ray_to(ds.p), smooth)
+        with dr.resume_grad():
+            em_weight, direction = _attached_emitter(rays, si, here, ds, em_weight, em_hit, smooth)
+            wo = si.to_local(direction)
+            value, pdf = bsdf.eval_pdf(context, si, wo, smooth)
+            mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
+            direct = dr.select(smooth, throughput * value * em_weight * mis, 0.0)
+
+        # ---- the next ray: by the numbers and in the form of the primal pass
+        _value, _pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
+            context,
+            here,
+            here.to_local(ds.d),
+            sampler.next_1d(active_next),
+            sampler.next_2d(active_next),
+            active_next,
+        )
+        next_ray = here.spawn_ray(here.to_world(sample.wo))
+        rest = st["rest"] - dr.detach(emitted) - dr.detach(direct)
+        throughput = throughput * bsdf_weight
+        eta = st["eta"] * sample.eta
+        null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        valid = st["valid"] | (active & si.is_valid() & ~null)
+        depth = dr.select(si.is_valid(), st["depth"] + 1, st["depth"])
+
+        strongest = dr.max(throughput)
+        survive = dr.minimum(strongest * dr.square(eta), 0.95)
+        roulette = depth >= rr_depth
+        goes_on = sampler.next_1d(active_next) < survive
+        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
+        active_next = active_next & (~roulette | goes_on) & (strongest != 0.0)
+
+        # ---- derivatives
+        next_hit = rays.preliminary(next_ray, False, active_next)
+        following = rays.surface_interaction(next_hit, next_ray, mi.RayFlags.Minimal, active_next)
+        met = active_next & following.is_valid()
+        with dr.resume_grad():
+            to = dr.normalize(dr.select(met, following.p - si.p, mi.Vector3f(0, 0, 1)))
+            direction = dr.replace_grad(next_ray.d, dr.select(met, to, next_ray.d))
+            value = bsdf.eval(context, si, si.to_local(direction), active_next)
+            solid = _area_per_solid_angle(si.p, following.p, following.n, met)
+            # `rest` is what arrives along the next ray, with the throughput up to here
+            reflected = dr.select(active_next, rest * _relative(value) * _relative(solid), 0.0)
+            total = emitted + direct + reflected
+            derivative = st["derivative"]
+            if not dr.grad_enabled(total) and not integrator.interior_may_be_constant:
+                raise BezierError.expected(
+                    "bezierpath",
+                    "a parameter that the image depends on",
+                    "none with derivatives enabled",
+                )
+            if not dr.grad_enabled(total):
+                pass
+            elif mode == dr.ADMode.Backward:
+                dr.backward_from(derivative * total)
+            else:
+                derivative = derivative + dr.forward_to(total)
+        return (
+            {
+                "ray": next_ray,
+                "hit": next_hit,
+                "prev_ray": ray,
+                "prev_hit": hit,
+                "throughput": throughput,
+                "rest": rest,
+                "derivative": dr.detach(derivative),
+                "eta": eta,
+                "depth": depth,
+                "valid": valid,
+                "active": active_next,
+                "prev_si": here,
+                "prev_pdf": sample.pdf,
+                "prev_delta": mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),
+                "sampler": sampler,
+            },
+        )
+
+    try:
+        (state,) = dr.while_loop(
+            (state,), cond=lambda st: st["active"], body=body, label=f"bezierpath ({mode.name})"
+        )
+    except RuntimeError as error:
+        if isinstance(error.__cause__, BezierError):
+            raise error.__cause__ from None
+        raise
+    return state["derivative"], state["valid"], state["rest"]
+
+
+def _relative(value: Any) -> Any:
+    """Return 1 with the derivative of the logarithm of `value`; plain 1 where that is 0."""
+    return dr.replace_grad(1.0, dr.select(value != 0, value / dr.detach(value), 1.0))
+
+
+def _attached_emitter(
+    rays: SceneRays, si: Any, here: Any, ds: Any, weight: Any, hit: Any, active: Any
+) -> tuple[Any, Any]:
+    """Return weight and direction of an emitter sample, with derivatives.
+
+    The sampled direction does not move with the emitter: where that moves, another point of it
+    lies in this direction, which matters to a textured emitter. With the vertex `si` it does.
+    """
+    scene = rays.scene
+    flags = ds.emitter.flags()
+    surface = active & mi.has_flag(flags, mi.EmitterFlags.Surface)
+    infinite = mi.has_flag(flags, mi.EmitterFlags.Infinite)
+    direction = dr.normalize(dr.select(active & ~infinite, ds.p - si.p, ds.d))
+    direction = dr.replace_grad(ds.d, dr.select(active & ~infinite, direction, ds.d))
+
+    ours = active & hit.bezier
+    ray = here.spawn_ray(ds.d)
+    ray.o = here.p
+    there = rays.surface_interaction(hit, ray, mi.RayFlags.All, ours)
+    there.wi = dr.replace_grad(there.wi, there.to_local(-direction))
+    value = dr.select(ours, ds.emitter.eval(there, ours), 0.0)
+    theirs = active & ~hit.bezier
+    varying = theirs & surface & mi.has_flag(flags, mi.EmitterFlags.SpatiallyVarying)
+    near = here.spawn_ray_to(ds.p)
+    near.o = dr.fma(near.d, near.maxt, near.o)
+    near.maxt = dr.largest(mi.Float)
+    met = original(scene, "ray_intersect")(near, varying)
+    moved = mi.DirectionSample3f(scene, met, here)
+    moved.d = direction
+    attached = dr.replace_grad(ds, dr.select(varying & met.is_valid(), moved, ds))
+    attached.d = direction
+    value += dr.select(theirs, scene.eval_emitter_direction(si, attached, theirs), 0.0)
+
+    inverse = dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0.0)
+    weight = dr.replace_grad(weight, value * inverse)
+    solid = _area_per_solid_angle(si.p, ds.p, ds.n, surface)
+    return weight * _relative(solid), direction

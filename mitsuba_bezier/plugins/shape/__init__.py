@@ -1,0 +1,1 @@
+"""The shape `beziertriangle`: parameters, attributes, silhouettes."""

@@ -1,0 +1,47 @@
+"""Leaves of different degrees in one structure, and of patches with a singular corner."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mitsuba_bezier.geometry import bernstein, shapes
+from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import LeafSettings, Leaves
+
+GENERAL = LeafSettings(closed_form=False)
+
+
+def _value(leaves: Leaves, u: float, v: float) -> np.ndarray:
+    powers = bernstein.multi_indices(bernstein.degree_of(leaves.net.shape[1]))[:, :2]
+    return np.einsum("k,lkc->lc", u ** powers[:, 0] * v ** powers[:, 1], leaves.net)
+
+
+def test_joined_leaves_keep_their_nets_when_degrees_differ() -> None:
+    quadratic = build_leaves(shapes.disk(), GENERAL)
+    quartic = build_leaves(shapes.torus())
+    assert not quadratic.exact.any()
+    joined = Leaves.join([quadratic, quartic])
+    for u, v in ((0.2, 0.3), (0.7, 0.1), (0.0, 0.6)):
+        expected = np.concatenate([_value(quadratic, u, v), _value(quartic, u, v)])
+        # 1e-15: the sums have the same terms and zeros, at most in another order
+        np.testing.assert_allclose(_value(joined, u, v), expected, rtol=0, atol=1e-15)
+
+
+def test_a_cone_has_few_leaves() -> None:
+    # away from the origin, where float32 ends the similar leaves around the apex
+    cone = shapes.cone((0, 0, 0), (0.52, 0.52), 1.35)
+    # 93 a level and patch down to 1e-6 of the apex' height, which is level 10: about 2800;
+    # before, ten million
+    assert len(build_leaves(cone, GENERAL)) < 4000
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 9])
+def test_nets_over_triangles_are_those_of_the_matrices(n: int) -> None:
+    rng = np.random.default_rng(n)
+    net = rng.normal(size=(bernstein.size(n), 4))
+    corners = rng.normal(size=(5, 3, 3))
+    expected = np.stack([bernstein.subdivision_matrix(n, c) @ net for c in corners])
+    # the same affine combinations in another order, each step a few roundings
+    tolerance = n * 1e-15 * np.abs(expected).max()
+    np.testing.assert_allclose(bernstein.subdivide(net, corners), expected, atol=tolerance)

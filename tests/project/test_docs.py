@@ -1,0 +1,95 @@
+"""The code blocks of the documentation run, and its links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = (
+    "conventions.md",
+    "integrators.md",
+    "inverse.md",
+    "lecture.md",
+    "media.md",
+    "reliability.md",
+    "security.md",
+    "verification.md",
+)
+#: How many blocks of Python they have at least, so that the pattern still finds them.
+BLOCKS = {
+    "conventions.md": 5,
+    "integrators.md": 2,
+    "inverse.md": 1,
+    "lecture.md": 5,
+    "media.md": 1,
+    "reliability.md": 0,
+    "security.md": 0,
+    "verification.md": 0,
+}
+
+
+def code_blocks(text: str) -> list[tuple[int, str]]:
+    """Line number and code of each ```python block."""
+    return [
+        (text[: found.start(1)].count("\n"), found.group(1))
+        for found in re.finditer(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    ]
+
+
+@pytest.fixture
+def variant():
+    """Pages may set a variant; the one before is restored."""
+    import mitsuba as mi
+
+    before = mi.variant()
+    yield
+    if before is not None and mi.variant() != before:
+        mi.set_variant(before)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_code_blocks_run(page, variant):
+    path = DOCS / page
+    blocks = code_blocks(path.read_text(encoding="utf-8"))
+    assert len(blocks) >= BLOCKS[page]
+    namespace: dict[str, object] = {"__name__": "__docs__"}
+    for line, code in blocks:
+        # empty lines before, so that a traceback shows the line of the page
+        exec(compile("\n" * line + code, str(path), "exec"), namespace)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links(page):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        assert target.startswith("https://") or (DOCS / target).exists(), target
+
+
+def test_every_section_of_the_lecture_has_a_call_a_check_and_a_picture():
+    text = (DOCS / "lecture.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    assert len(sections) == 8
+    for section in sections:
+        code = "".join(block for _line, block in code_blocks(section))
+        assert "assert " in code, section.splitlines()[0]
+        assert re.search(r"<!-- picture: renders/\S+\.png: .+ -->|!\[", section), section[:40]
+
+
+def test_the_table_of_formats_is_that_of_the_readers():
+    from mitsuba_bezier.io import _READERS
+    from mitsuba_bezier.io.vtk.reader import _READ
+
+    text = (DOCS / "formats.md").read_text(encoding="utf-8")
+    table = text[text.index("| suffix |") : text.index("Text may be")]
+    needs: dict[str, str] = {}
+    for row in table.splitlines()[2:]:
+        suffixes, what, need = row.split("|")[1:-1] if row else ("", "", "")
+        extras = "".join(re.findall(r"\[\w+\]", need))
+        needs |= dict.fromkeys(re.findall(r"`(\.\w+)`", suffixes), extras)
+        if "`.vtu`" in suffixes:
+            assert {int(n) for n in re.findall(r"\b\d\d\b", what)} == set(_READ)
+    extra = {"meshes": "[mesh]", "cad": "[cad]", "rhino": "[rhino]"}
+    assert needs == {key: extra.get(name.split(".")[0], "") for key, name in _READERS.items()}

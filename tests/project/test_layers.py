@@ -1,0 +1,171 @@
+"""The rules for imports (which layer may know which), held by looking at the source."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import mitsuba_bezier
+
+ROOT = Path(mitsuba_bezier.__file__).parent
+MODULES = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py"))
+
+# imports go from a larger number to a smaller one, or stay within one folder
+LAYERS = {
+    "errors": 0,
+    "_version": 0,
+    "_children": 0,
+    "_signals": 0,
+    "_files": 1,
+    "_llvm": 1,
+    "_runtime": 2,
+    "_loading": 2,
+    "geometry": 10,
+    "leaves": 15,
+    "oracles": 15,
+    "io": 20,
+    "kernels": 20,
+    "verification": 20,
+    "plugins": 30,
+    "__init__": 40,
+    "cli": 50,
+}
+
+FORBIDDEN = {
+    "geometry": {"mitsuba", "drjit", "scipy"},
+    "leaves": {"mitsuba", "drjit", "scipy"},
+    "oracles": {"mitsuba", "drjit", "scipy"},
+    "kernels": {"mitsuba"},
+    "io": {"mitsuba", "drjit"},
+}
+
+
+def layer(name: str) -> str:
+    """Return the layer of a module given by its path or its name below the package."""
+    return name.removesuffix(".py").replace(".", "/").split("/")[0]
+
+
+def imports(tree: ast.AST, module: str) -> Iterator[tuple[str, ast.stmt]]:
+    """Yield what is imported: names of the package as ".geometry.x", others as they are."""
+    depth = module.count("/")  # folders between the module and the package
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name.replace("mitsuba_bezier", "", 1), node
+        elif isinstance(node, ast.ImportFrom):
+            if node.level == 0:
+                base = (node.module or "").replace("mitsuba_bezier", "", 1)
+            else:
+                here = module.split("/")[:-1]
+                base = "." + ".".join(
+                    [*here[: depth + 1 - node.level], *filter(None, [node.module])]
+                )
+            if base in ("", "."):
+                # "from .. import x": a module of the package, or a name of its __init__
+                for alias in node.names:
+                    known = alias.name in LAYERS or (ROOT / f"{alias.name}.py").exists()
+                    yield f".{alias.name if known else '__init__'}", node
+            else:
+                yield base, node
+
+
+def violations(source: str, module: str) -> list[str]:
+    """Return what breaks the rules in one module of the package."""
+    tree = ast.parse(source)
+    found = []
+    own = layer(module)
+    if own not in LAYERS:
+        found.append(f"{own} has no place among the layers")
+    for name, node in imports(tree, module):
+        if name.startswith("."):
+            other = layer(name[1:])
+            allowed = other == own or LAYERS.get(other, 99) < LAYERS.get(own, 0)
+            if own == "oracles" and other == "leaves":
+                allowed = False
+            if not allowed:
+                found.append(f"line {node.lineno}: {own} imports {other}")
+        else:
+            top = name.split(".")[0]
+            if top in FORBIDDEN.get(own, ()):
+                found.append(f"line {node.lineno}: {own} imports {top}")
+            if own == "cli" and top in ("mitsuba", "drjit") and node in tree.body:
+                found.append(f"line {node.lineno}: --help would import {top}")
+    if own != "cli":
+        for node in ast.walk(tree):
+            name = getattr(node, "attr", None) or getattr(node, "id", None)
+            if name == "set_variant":
+                found.append(f"line {node.lineno}: set_variant outside cli")  # type: ignore[attr-defined]
+    has_code = any(
+        isinstance(node, (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef))
+        for node in tree.body
+    )
+    if has_code and not any(
+        isinstance(node, ast.ImportFrom)
+        and node.module == "__future__"
+        and "annotations" in [alias.name for alias in node.names]
+        for node in tree.body
+    ):
+        found.append("from __future__ import annotations is missing")
+    return found
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_rules(module: str) -> None:
+    assert violations((ROOT / module).read_text(encoding="utf-8"), module) == []
+
+
+F = "from __future__ import annotations\n"
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("geometry/a.py", F + "import mitsuba as mi"),
+        ("geometry/a.py", F + "def f():\n    import drjit.auto"),
+        ("geometry/a.py", F + "from scipy.linalg import svd"),
+        ("geometry/a.py", F + "from ..kernels import net"),
+        ("geometry/a.py", F + "from .. import io"),
+        ("geometry/a.py", F + "from mitsuba_bezier.io import load"),
+        ("geometry/triangles.py", F + "def save():\n    from ..io import save"),
+        ("oracles/a.py", F + "from ..leaves import builder"),  # leans on what it judges
+        ("geometry/a.py", F + "from .. import sphere"),  # a name of __init__
+        ("kernels/a.py", F + "import mitsuba"),
+        ("kernels/a.py", F + "from ..io import load"),
+        ("io/a.py", F + "from ..plugins.shape import Shape"),
+        ("plugins/a.py", F + "from ..cli.main import main"),
+        ("plugins/a.py", F + "def f(mi):\n    mi.set_variant('llvm_ad_rgb')"),
+        ("plugins/a.py", F + "from mitsuba import set_variant\nset_variant('llvm_ad_rgb')"),
+        ("__init__.py", F + "from .cli.main import main"),
+        ("errors.py", F + "from .geometry import bernstein"),
+        ("cli/a.py", F + "import mitsuba as mi"),
+        ("kernels/a.py", "import drjit"),  # no __future__
+        ("other/a.py", F),
+    ],
+)
+def test_a_violation_is_seen(module: str, source: str) -> None:
+    assert len(violations(source, module)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("geometry/a.py", F + "import numpy as np\nfrom ..errors import NetError\nfrom . import b"),
+        ("kernels/a.py", F + "import drjit as dr\nfrom ..geometry.bernstein import size"),
+        (
+            "plugins/a.py",
+            F + "import mitsuba as mi\nfrom .. import _runtime\nfrom ..kernels import net",
+        ),
+        ("__init__.py", F + "from . import _runtime\nfrom .geometry.covers import sphere"),
+        (
+            "cli/a.py",
+            F + "from .. import load\ndef run(args):\n    import mitsuba as mi\n"
+            "    mi.set_variant('llvm_ad_rgb')",
+        ),
+        ("_version.py", "__version__ = '1'"),
+    ],
+)
+def test_what_is_allowed_passes(module: str, source: str) -> None:
+    assert violations(source, module) == []
