@@ -41,7 +41,7 @@ FREE = sorted(set(TEXT) - {".brep", ".iges", ".igs", ".step", ".stp"})
 def load(path: Path) -> mb.BezierTriangles:
     """Load a file in this process: the second Python changes nothing here, and takes its time."""
     name = {".inp": "meshes", ".bdf": "meshes", ".nas": "meshes", ".mesh": "meshes"}
-    name |= dict.fromkeys((".brep", ".iges", ".igs", ".step", ".stp"), "cad")
+    name |= dict.fromkeys((".brep", ".iges", ".igs", ".step", ".stp"), "cad.opencascade")
     if path.suffix in name:
         return import_module(f"mitsuba_bezier.io.{name[path.suffix]}").read_here(path).triangles()
     return mb.load(path)

@@ -91,5 +91,5 @@ def test_the_table_of_formats_is_that_of_the_readers():
         needs |= dict.fromkeys(re.findall(r"`(\.\w+)`", suffixes), extras)
         if "`.vtu`" in suffixes:
             assert {int(n) for n in re.findall(r"\b\d\d\b", what)} == set(_READ)
-    extra = {"meshes": "[mesh]", "cad": "[cad]", "rhino": "[rhino]"}
-    assert needs == {key: extra.get(name.split(".")[0], "") for key, name in _READERS.items()}
+    extra = {"meshes": "[mesh]", "opencascade": "[cad]", "rhino": "[rhino]"}
+    assert needs == {key: extra.get(name.split(".")[-2], "") for key, name in _READERS.items()}
