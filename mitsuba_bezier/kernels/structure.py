@@ -71,7 +71,7 @@ class Structure:
     members: Any  #: Float32, x `MEMBER`
     cells: Any  #: Float32, x `CELLS`: of groups with a member for which `has_inverted`
     rows: Any  #: Float64, x `MEMBER`: the rows of each member, unscaled
-    planes: Any  #: Float32, x K * 4: P and Q of each member (`section_leaves`), if one is a section
+    planes: Any  #: Float32, x K * 4: P and Q of each member (`plane_sections`), if one is a section
     domain: Any  #: Float32, x `DOMAIN`; nothing where leaves are patches, all of one kind
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
     components: int  #: of `nets`: 4, or 3 where all weights are one

@@ -26,7 +26,7 @@ surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. The
     * ``outward`` and ``inward``, three of each: the leaf has only points whose barycentrics in the
       chart are at least ``-outward``, and covers all where they are at least ``inward``,
 
-    proved (`leaf_bounds`) over an enlarged triangle of parameters, one of the `SIZES`, whose image
+    proved (`graph.bounds`) over an enlarged triangle of parameters, one of the `SIZES`, whose image
     holds the unit triangle enlarged by the margin; and two more quadratics of the
     same form, which take ``(x, y)`` near to ``(u, v)``. The chart is affine where the weights
     of the leaf are of one sign and nearly equal, else projective (then W is not constant).
@@ -79,9 +79,9 @@ DEVIATION = 11
 
 #: Place of the mark of an exact leaf whose frame does not give barycentrics: 1 if it gives
 #: stereographic coordinates, and barycentrics need a few steps of Newton's method, on the net
-#: (`section_leaves`); `INVERTED` if such parameters tell whether a point is on the patch at all
-#: (`inverted_leaves`); -1, -2 or -3 for a sector of a cone with its apex in this corner
-#: (`sector_leaves`).
+#: (`plane_sections`); `INVERTED` if such parameters tell whether a point is on the patch at all
+#: (`inverted`); -1, -2 or -3 for a sector of a cone with its apex in this corner
+#: (`sectors`).
 SECTION = 12
 INVERTED = 2.0
 
@@ -89,7 +89,7 @@ INVERTED = 2.0
 OUTWARD = slice(13, 16)
 INWARD = slice(16, 19)
 
-#: ... and of an inverted leaf of how far its plane barycentrics go below zero (`inverted_leaves`).
+#: ... and of an inverted leaf of how far its plane barycentrics go below zero (`inverted`).
 MARGINS = slice(13, 16)
 
 #: Order of the ten entries of a symmetric form in `Leaves.form`.

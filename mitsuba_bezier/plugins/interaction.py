@@ -129,7 +129,7 @@ class PatchTables:
     Patches have the same degree, lower ones are elevated.
     """
 
-    nets: Any  #: Float, rows of `kernels.patch.pack`, of nets of `geometry.local_nets`
+    nets: Any  #: Float, rows of `kernels.patch.pack`, of nets of `leaves.local_nets`
     origins: Any  #: Float, four a patch, as there
     degree: int
     shape_of: Any  #: UInt, number of the shape of each patch

@@ -1,6 +1,6 @@
 """Cases of `mitsuba-bezier verify`: patches, a camera, and the same surface as a formula.
 
-The formula side uses `geometry.analytic` alone, float64 and no net.
+The formula side uses `oracles.analytic` alone, float64 and no net.
 """
 
 from __future__ import annotations

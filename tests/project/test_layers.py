@@ -169,3 +169,63 @@ def test_a_violation_is_seen(module: str, source: str) -> None:
 )
 def test_what_is_allowed_passes(module: str, source: str) -> None:
     assert violations(source, module) == []
+
+
+def test_the_picture_of_the_layers_is_that_of_the_source():
+    from importlib.util import module_from_spec, spec_from_file_location
+
+    script = ROOT.parent / "docs" / "make_architecture.py"
+    spec = spec_from_file_location("make_architecture", script)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    # "python docs/make_architecture.py" draws it again
+    assert module.TARGET.read_text(encoding="utf-8") == module.draw()
+
+
+def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Return the groups of modules that import each other, by Tarjan's algorithm."""
+    order: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found = []
+
+    def visit(name: str) -> None:
+        order[name] = low[name] = len(order)
+        stack.append(name)
+        for other in graph[name]:
+            if other not in order:
+                visit(other)
+            if other in stack:
+                low[name] = min(low[name], low[other])
+        if low[name] == order[name]:
+            group = stack[stack.index(name) :]
+            del stack[stack.index(name) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    for name in graph:
+        if name not in order:
+            visit(name)
+    return found
+
+
+def test_no_modules_import_each_other():
+    names = {module.removesuffix(".py").replace("/", ".") for module in MODULES}
+    graph = {}
+    for module in MODULES:
+        own = module.removesuffix(".py").replace("/", ".")
+        others = set()
+        tree = ast.parse((ROOT / module).read_text(encoding="utf-8"))
+        for node in tree.body:  # what is imported in a function is imported when all is there
+            for name, statement in imports(ast.Module([node], []), module):
+                target = name[1:] if name.startswith(".") else ""
+                pieces = [target]
+                if isinstance(statement, ast.ImportFrom):
+                    pieces = [f"{target}.{alias.name}" for alias in statement.names] + [target]
+                others |= {piece for piece in pieces if piece in names and piece != own}
+        graph[own] = others
+    found = cycles(graph)
+    print(f"{len(found)} circles among {len(graph)} modules")
+    assert found == []
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == [["b", "c"]]

@@ -38,7 +38,7 @@ def section_parameters(
 ) -> tuple[Any, Any]:
     """Return the parameters at which ``P / Q`` is ``x + i y``, less the middle ``(1 + i) / 2``.
 
-    With the complex polynomials of `geometry.section_leaves`, ``P - (x + i y) Q = 0`` are two
+    With the complex polynomials of `leaves.closed_form.plane_sections`, ``P - (x + i y) Q = 0`` are two
     real equations of the degree of `P` and `Q`, which is at most half of the patch's.
     """
     # the coefficients are small from the middle on, so are their roundings
@@ -77,7 +77,7 @@ def _newton(value: list[Any], by_u: list[Any], by_v: list[Any]) -> tuple[Any, An
 def inverted_parameters(
     s: Structure, ty: Types, leaf: Any, p: list[Any], tolerance: Any, active: Any
 ) -> tuple[Any, Any, Any]:
-    """Find out whether a point of a quadric is on a patch; see `geometry.inverted_leaves`.
+    """Find out whether a point of a quadric is on a patch; see `leaves.closed_form.inverted`.
 
     Parameters
     ----------

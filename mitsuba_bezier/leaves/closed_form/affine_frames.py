@@ -3,7 +3,7 @@
 Closed forms, their tolerances and their roundings are those of a body of even proportions. One
 that is a hundred times as long as it is wide, or a million times, is taken to such first: an affine
 map, found here, takes quadrics to quadrics and patches to patches with the same parameters, and
-kernels take rays along (`kernels.quadric`), in float64. Then proportions cancel.
+kernels take rays along (`kernels.closed_form.quadric`), in float64. Then proportions cancel.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class _Parts:
     domain: np.ndarray  #: (L, 3, 3) as in `Leaves`
     nets: np.ndarray  #: (L, K, 4)
     rows: np.ndarray  #: (L, 4, 4) give X, Y and D - X - Y at a point, and which side it is on
-    fractions: np.ndarray  #: (L, K, 4) as in `section_leaves`
+    fractions: np.ndarray  #: (L, K, 4) as in `plane_sections`
     margins: np.ndarray  #: (L, 3) how far below zero the barycentrics of the plane go
 
     def select(self, mask: np.ndarray) -> _Parts:

@@ -1,6 +1,6 @@
 """Bounds of derivatives by inequalities of their own: quotients, and compositions with inverses.
 
-The inequalities are those of `leaf_bounds`, where what they are for is told. Arrays are ``(L,)``, a
+The inequalities are those of `bounds`, where what they are for is told. Arrays are ``(L,)``, a
 number for each leaf; NaN where there is no bound.
 """
 
@@ -33,7 +33,7 @@ def quotient(n3, n4, d, s0, s1, s2, c):
     s0, s1, s2 : (L,) arrays
         Largest samples of the quotient and its first two derivatives.
     c : float
-        See `leaf_bounds`.
+        See `bounds`.
     """
     d0, d1, d2, d3, d4 = d
     near = s0 + c * s2  # f_0 <= near + c^2 f_4
@@ -75,7 +75,7 @@ def second_of_variation(j, f, r3, r4, k, g, c):
     k, g : (L,) arrays
         Largest samples of ``K`` and of the gradient.
     c : float
-        See `leaf_bounds`.
+        See `bounds`.
     """
     _f0, f1, f2, f3, f4 = f
     j2 = j * j
