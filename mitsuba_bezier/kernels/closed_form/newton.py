@@ -38,8 +38,8 @@ def section_parameters(
 ) -> tuple[Any, Any]:
     """Return the parameters at which ``P / Q`` is ``x + i y``, less the middle ``(1 + i) / 2``.
 
-    With the complex polynomials of `leaves.closed_form.plane_sections`, ``P - (x + i y) Q = 0`` are two
-    real equations of the degree of `P` and `Q`, which is at most half of the patch's.
+    With the complex polynomials of `leaves.closed_form.plane_sections`, ``P - (x + i y) Q = 0``
+    are two real equations of the degree of `P` and `Q`, which is at most half of the patch's.
     """
     # the coefficients are small from the middle on, so are their roundings
     equations, degree = _equations(s, leaf, x - 0.5, y - 0.5, active)

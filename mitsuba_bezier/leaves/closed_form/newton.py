@@ -1,7 +1,7 @@
 """Newton's method for the parameters of a point of a plane, on a rational map of triangles.
 
-As `kernels.closed_form.newton` takes it for inverted leaves, here in float64 at samples, so that the builder
-knows whether it will find them (see `inverted`).
+As `kernels.closed_form.newton` takes it for inverted leaves, here in float64 at samples, so that
+the builder knows whether it will find them (see `inverted`).
 """
 
 from __future__ import annotations
