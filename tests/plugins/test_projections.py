@@ -12,6 +12,7 @@ from mitsuba_cases import ball_rays, bezier, numbers, ray_of, tensor
 from render_cases import SHARE, bezierpath, camera, moments, path, share_that_agrees, sky
 
 import mitsuba_bezier as mb
+from mitsuba_bezier.geometry.trims import Trims, square_map
 from mitsuba_bezier.io import save
 
 SPP = 32
@@ -104,6 +105,48 @@ def test_they_are_those_of_the_native_shape(kind, moved):
             off -= 4 * 5e-3**2  # beside collapsed edges: of a point 5e-3 of the patch away
         assert (off < slack[hit] * size).all(), name
     assert (np.abs(frame(theirs) - frame(ours))[hit].max(axis=1) < slack[hit]).all()
+
+
+@pytest.mark.parametrize(("off", "scale"), [(0, 1), (1e3, 1), (0, 1e-3), (1e4, 1e3), (1e4, 1)])
+@pytest.mark.parametrize("kind", ["octants", "tetrahedral"])
+def test_they_are_exact_far_away(kind, off, scale):
+    # against float64: Mitsuba's own sphere is off by what float32 makes of the distance
+    place = mi.ScalarTransform4f().translate([off, -off, 0.3 * off]).rotate([0.6, 0, 0.8], 70)
+    m = np.array(place.scale(scale).matrix, dtype=float)
+    o, d = ball_rays(4000)
+    o, d = np.float32(o @ m[:3, :3].T + m[:3, 3]), np.float32(d @ m[:3, :3].T / scale)
+    shape = mi.load_dict(
+        bezier(PAIRS[kind][2](), uv="spherical", to_world=mi.ScalarTransform4f(m.tolist()))
+    )
+    si = shape.ray_intersect(ray_of(o, d))
+    # the ray and the map are those that were rounded
+    m = shape.object_to_world
+    back = np.linalg.inv(m[:3, :3]).T
+    q, e = (o.astype(float) - m[:3, 3]) @ back, d.astype(float) @ back
+    a, b, c = (e * e).sum(axis=1), (q * e).sum(axis=1), (q * q).sum(axis=1) - 1
+    root = b * b - a * c
+    q += ((-b - np.sqrt(np.maximum(root, 0))) / a)[:, None] * e
+    rho = np.hypot(q[:, 0], q[:, 1])
+    expected = np.stack(
+        [np.arctan2(q[:, 1], q[:, 0]) / (2 * np.pi) % 1, np.arctan2(rho, q[:, 2]) / np.pi], axis=1
+    )
+    hit = np.array(si.is_valid()) & (root > 0.01 * a)
+    assert hit.sum() > 3000
+    wrong = np.abs(around(numbers(si.uv), 0) - around(expected, 0)).max(axis=1)
+    # roundings of net and uv; an angle of 2 pi around the axis by the distance from it
+    assert (wrong * rho.clip(1e-3))[hit].max() < 16 * 2.0**-24
+
+
+@pytest.mark.parametrize("kind", PAIRS)
+def test_turned_normals(kind):
+    o, d = ball_rays(2000)
+    theirs, ours, hit = both(kind, o, d, flip_normals=True)
+    hit &= np.abs(numbers(dr.dot(ours.n, mi.Vector3f(d.T)))) > 0.1
+    hit &= np.hypot(*numbers(ours.p).T[:2]) > 0.1
+    for name in (*FIELDS[1:], "n"):
+        a, b = numbers(getattr(theirs, name)), numbers(getattr(ours, name))
+        assert np.abs(a - b)[hit].max() < 1e-4, name  # as above, by partials of 2 pi
+    assert np.abs(frame(theirs) - frame(ours))[hit].max() < 2e-5
 
 
 @pytest.mark.parametrize("rotated", [False, True])
@@ -312,22 +355,63 @@ def test_frozen():
         assert (numbers(found[1]) == numbers(si.dp_du)).all()
 
 
-def test_trimmed_patches_and_patches_to_infinity():
-    o, d = ball_rays(2000)
+def test_patches_to_infinity():
     plane = mi.load_dict(bezier(mb.plane(), uv="planar"))
-    native = mi.load_dict({"type": "scene", "s": {"type": "rectangle"}})
-    a, b = native.ray_intersect(ray_of(o, d)), plane.ray_intersect(ray_of(o, d))
-    hit = np.array(a.is_valid() & b.is_valid()) & (np.abs(d[:, 2]) > 0.1)
-    assert hit.sum() > 500
-    assert np.abs(numbers(a.uv) - numbers(b.uv))[hit].max() < 1e-5
-    assert np.abs(numbers(a.dp_du) - numbers(b.dp_du))[hit].max() < 1e-5
+    o, d = ball_rays(2000)
+    d[:, 2] *= np.geomspace(1e-4, 1, len(d)).astype(np.float32)
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    si = plane.ray_intersect(ray_of(o, d))
+    hit = np.array(si.is_valid())
+    t = -o[:, 2].astype(float) / d[:, 2]
+    expected = (o[:, :2] + t[:, None] * d[:, :2] + 1) / 2
+    assert hit.sum() > 900
+    assert t[hit].max() > 1e3
+    # a few roundings of numbers of that size
+    off = np.abs(numbers(si.uv) - expected).max(axis=1)[hit]
+    assert (off < 8 * 2.0**-24 * (t[hit] + 1)).all()
+    assert np.abs(numbers(si.dp_du)[hit] - [2, 0, 0]).max() < 1e-6
+    assert np.abs(numbers(si.dp_dv)[hit] - [0, 2, 0]).max() < 1e-6
+
+
+def test_trimmed_patches(tmp_path):
+    half = [[[0, 0, 1], [0.5, 0, 1]], [[0.5, 0, 1], [0.5, 1, 1]], [[0.5, 1, 1], [0, 1, 1]]]
+    region = [np.array(x, dtype=float) for x in [*half, [[0, 1, 1], [0, 0, 1]]]]
+    corners = np.array([[1, -1, 0, 1], [-1, 1, 0, 1], [-1, -1, 0, 1.0]])
+    trims = Trims([region], [0], [square_map()], [[[0, 0], [1, 1]]])
+    save(mb.BezierTriangles(corners[None]), tmp_path / "part.vtu", trims=trims)
+    shape = mi.load_dict(
+        {"type": "beziertriangle", "filename": str(tmp_path / "part.vtu"), "uv": "polar"}
+    )
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-1, 1, (2, 500))
+    o = np.float32(np.stack([x, y, x * 0 + 2], axis=1))
+    si = shape.ray_intersect(ray_of(o, [0, 0, -1.0]))
+    hit = np.array(si.is_valid())
+    assert (hit == ((x < 0) & (x + y < 0))).mean() > 0.99
+    expected = np.stack([np.hypot(x, y), np.arctan2(y, x) / (2 * np.pi) % 1], axis=1)
+    off = around(numbers(si.uv), 1) - around(expected, 1)
+    assert np.abs(off[hit] * np.hypot(x, y)[hit, None]).max() < 1e-6
+
+
+def test_a_scene_file(tmp_path):
+    save(square(), tmp_path / "square.vtu")
+    scene = mi.load_string(
+        f"""<scene version="3.0.0"><shape type="beziertriangle">
+        <string name="filename" value="{tmp_path / "square.vtu"}"/>
+        <string name="uv" value="planar"/></shape></scene>"""
+    )
+    si = mb.ray_intersect(scene, ray_of([[0.5, 0.2, 3]], [0, 0, -1.0]))
+    assert np.allclose(numbers(si.uv), [[0.75, 0.6]], atol=1e-6)
+    ball = mi.load_dict(mb.shape(mb.sphere(), uv="spherical"))
+    assert ball.projection == "spherical"
 
 
 # ---------------------------------------------------------------- derivatives
 
 
-@pytest.mark.parametrize("kind", PAIRS)
-@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "follow"), [(k, False) for k in PAIRS] + [("tetrahedral", True), ("disk", True)]
+)
 def test_derivatives_by_to_world(kind, follow):
     _native, uv, patches = PAIRS[kind]
     rng = np.random.default_rng(1)
@@ -404,6 +488,61 @@ def test_derivatives_by_the_net():
     hit &= np.abs(central).max(axis=1) < 10
     assert hit.sum() > 100
     assert np.quantile(np.abs(ours - central)[hit], 0.98) < 2e-3
+
+
+def test_derivatives_of_renders():
+    # a ball that turns around its axis moves nothing but its texture
+    def scene_of(kind: str) -> Any:
+        shape: dict[str, Any] = {"type": "sphere"}
+        if kind != "native":
+            shape = bezier(PAIRS[kind][2](), uv="spherical")
+        shape["bsdf"] = {"type": "diffuse", "reflectance": picture(3, 1)}
+        light = {"type": "constant"}
+        return mi.load_dict({"type": "scene", "c": camera(24, 20), "ball": shape, "light": light})
+
+    prb = mi.load_dict({"type": "prb", "max_depth": 2})
+    weights = mi.Float(np.random.default_rng(0).random(24 * 20 * 3).astype(np.float32))
+    found = {}
+    for kind in ("native", "octants", "tetrahedral"):
+        scene = scene_of(kind)
+        params = mi.traverse(scene)
+        for forward in (True, False):
+            angle = mi.Float(0.0)
+            dr.enable_grad(angle)
+            turn = mi.Transform4f().rotate([0, 0, 1], angle).scale(2)
+            params["ball.to_world"] = turn
+            params.update()
+            image = mi.render(scene, params, integrator=prb, spp=16)
+            if forward:
+                dr.forward(angle, dr.ADFlag.ClearEdges)
+                found[kind] = [np.array(dr.grad(image))]
+            else:
+                dr.backward(dr.sum(image.array * weights))
+                found[kind].append(np.array(dr.grad(angle)))
+    size = np.abs(found["native"][0]).mean()
+    assert size > 1e-4
+    for kind in ("octants", "tetrahedral"):
+        forward, backward = (a - b for a, b in zip(found[kind], found["native"]))
+        # the same rays and samples: roundings, and pixels where a path goes another way
+        assert np.abs(forward).mean() < 0.01 * size
+        assert np.abs(backward).max() < 0.01 * np.abs(found["native"][1]).max()
+
+
+@pytest.mark.parametrize("by", ["uv", "texcoords"])
+def test_differential_motion(by):
+    corners = tensor(np.random.default_rng(0).random((8, 3, 2)))
+    shape = mi.load_dict(bezier(**({"uv": "spherical"} if by == "uv" else {by: corners})))
+    params = mi.traverse(shape)
+    x = mi.Float(0.0)
+    dr.enable_grad(x)
+    params["to_world"] = mi.Transform4f().translate([x, 2 * x, 0])
+    params.update()
+    si = shape.ray_intersect(ray_of(*ball_rays(200)), mi.RayFlags.All | mi.RayFlags.DetachShape)
+    p = shape.differential_motion(si, si.is_valid())
+    hit = np.array(si.is_valid())
+    assert np.abs(numbers(p) - numbers(si.p))[hit].max() < 1e-6
+    dr.forward(x)
+    assert np.abs(numbers(dr.grad(p))[hit] - [1, 2, 0]).max() < 1e-5
 
 
 # ---------------------------------------------------------------- bad input
