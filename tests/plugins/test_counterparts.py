@@ -84,6 +84,20 @@ def test_renders_as_mitsubas_spheres(name):
     assert share >= SHARE, f"{share:.4%}"
 
 
+@pytest.mark.parametrize("inner", ["prb", "whitted", "bezierpath"])
+@pytest.mark.parametrize("outer", ["aov", "moment"])
+def test_integrators_in_python_may_be_nested(outer, inner):
+    own = whitted()
+    mi.register_integrator("whitted", lambda props: own(props))
+    nested = {"type": outer, "image": {"type": inner}}
+    if outer == "aov":
+        nested["aovs"] = "d:depth"
+    native, patches = moments("native", nested, 0), moments("octants", nested, 1000)
+    own_channels = slice(0, 3)  # not squares, see `test_second_moments`
+    native, patches = ((m[..., own_channels], v[..., own_channels]) for m, v in (native, patches))
+    assert share_that_agrees(native, patches, SPP) >= SHARE
+
+
 def test_the_comparison_sees_an_empty_picture():
     empty = mi.load_dict({"type": "scene", "c": camera(64, 16), "f": floor(), "lamp": lamp()})
     image = np.array(mi.render(empty, integrator=mi.load_dict({"type": "direct"}), spp=SPP))

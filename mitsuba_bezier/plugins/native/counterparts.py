@@ -121,6 +121,10 @@ def counterpart(integrator: Any, scene: Any) -> Any:
     """
     if not scene_methods.is_on() or data_for_scene(scene) is None:
         return integrator
+    return _seeing(integrator)
+
+
+def _seeing(integrator: Any) -> Any:
     name = type(integrator).__name__
     if type(integrator).__module__ == "mitsuba":
         return _of_native(integrator)
@@ -147,7 +151,7 @@ def _of_native(integrator: Any) -> Any:
     kept = _counterparts.get(integrator.ptr)
     if kept is None or kept[0] is not made:
         parameters = {
-            key: _of_native(value) if isinstance(value, mi.Integrator) else value
+            key: _seeing(value) if isinstance(value, mi.Integrator) else value
             for key, value in made.parameters.items()
             if key not in _STEERING.get(made.name, ())
         }
