@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
 from ..kernels.curvature import affine_second_partials, evaluate_second
 from ..kernels.patch import affine_partials
+from .offsets import position_error
 
 _XYZ = range(3)
 
-__all__ = ["PatchTables", "Preliminary", "shading_frame", "surface_interaction"]
+__all__ = ["Met", "PatchTables", "Preliminary", "meet", "shading_frame", "surface_interaction"]
 
 #: Sine between dp_du and dp_dv, squared, below which float32 cannot tell a normal any more.
 _FLAT = 1e-10
@@ -49,6 +50,15 @@ class Preliminary:
         return Preliminary(pi, mi.Bool(False), mi.UInt32(0))
 
 
+class Met(NamedTuple):
+    """What a ray met, and how exactly that is known."""
+
+    si: Any  #: mi.SurfaceInteraction3f
+    #: Float, how far ``si.p`` may be from the surface along ``si.n``: the field that interactions
+    #: of Mitsuba 3.10 have themselves. None where all shapes are Mitsuba's.
+    p_err: Any
+
+
 @dataclass
 class Jet:
     """A point of a patch relative to an origin, and its partials by the parameters.
@@ -75,6 +85,13 @@ class Jet:
         """Return how the first partials change."""
         du, dv = mi.Float(du), mi.Float(dv)
         return self.puu * du + self.puv * dv, self.puv * du + self.pvv * dv
+
+    def error(self, p: Any, n: Any) -> Any:
+        """Return what the point `p`, rounded, may be off along the unit normal `n`."""
+        n = dr.detach(mi.Vector3f(n))
+        height = sum(dr.abs(dr.dot(n, dr.detach(x))) for x in (self.puu, self.puv, self.pvv))
+        pu, pv = mi.Vector3f(dr.detach(self.pu)), mi.Vector3f(dr.detach(self.pv))
+        return position_error(dr.detach(p), n, pu, pv, height)
 
     def step_to(self, ray: Any, t: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """Return what the parameters and `t` of a hit are off, and how that changes.
@@ -244,9 +261,14 @@ class PatchTables:
 
     def point_and_normal(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the point, the unit normal and ``|dp_du x dp_dv|`` at parameters of a patch."""
+        return self.point_and_error(patch, u, v, active)[:3]
+
+    def point_and_error(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """Return what `point_and_normal` does, and the error of the point along the normal."""
         jet = self.jet(patch, u, v, active)
         n = self.normal(jet, patch, u, v, active)
-        return mi.Point3f(jet.p + jet.origin), n, mi.Float(dr.norm(dr.cross(jet.pu, jet.pv)))
+        p = mi.Point3f(jet.p + jet.origin)
+        return p, n, mi.Float(dr.norm(dr.cross(jet.pu, jet.pv))), jet.error(p, n)
 
     def sign(self, patch: Any, active: Any, place: Any = None) -> Any:
         """Return the sign of the normal along ``dp_du x dp_dv``."""
@@ -342,7 +364,14 @@ def shading_frame(n: Any, dp_du: Any) -> Any:
 def surface_interaction(
     tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, copies: Any = None
 ) -> Any:
-    """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere.
+    """Return the `mi.SurfaceInteraction3f` of `meet`."""
+    return meet(tables, hit, ray, flags, active, copies).si
+
+
+def meet(
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, copies: Any = None
+) -> Met:
+    """Return the interaction of hits on patches, and the error of its point; invalid elsewhere.
 
     All fields are those of Mitsuba's own shapes. ``dn_du``, ``dn_dv`` are computed on request
     (`mi.RayFlags.dNGdUV` or `dNSdUV`: the shading normal is the true one). Partials are by the
@@ -352,30 +381,32 @@ def surface_interaction(
     """
     ours = hit.bezier & mi.Bool(active)
     if dr.grad_enabled(tables.nets, ray):  # Dr.Jit does not differentiate what a branch gathers
-        return _interaction(tables, hit, ray, flags, ours, copies)
+        return Met(*_interaction(tables, hit, ray, flags, ours, copies))
     # a gather costs a packet the same for one ray as for all: none where no ray hits a patch
-    return dr.if_stmt(
-        args=(hit, ray, ours),
-        cond=ours,
-        true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours, copies),
-        false_fn=lambda _hit, ray, _ours: _no_interaction(ray),
-        label="bezier interaction",
+    return Met(
+        *dr.if_stmt(
+            args=(hit, ray, ours),
+            cond=ours,
+            true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours, copies),
+            false_fn=lambda _hit, ray, _ours: _no_interaction(ray),
+            label="bezier interaction",
+        )
     )
 
 
-def _no_interaction(ray: Any) -> Any:
+def _no_interaction(ray: Any) -> tuple[Any, Any]:
     """Return what Mitsuba takes for a miss."""
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ray))
     si.t = dr.full(mi.Float, dr.inf, dr.width(ray))  # as wide as hits would be
     si.time, si.wavelengths = ray.time, ray.wavelengths
     si.wi = -ray.d
-    return si
+    return si, dr.zeros(mi.Float, dr.width(ray))
 
 
 def _interaction(
     tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any, copies: Any
-) -> Any:
-    """Return the interactions of the hits `ours`; see `surface_interaction`."""
+) -> tuple[Any, Any]:
+    """Return the interactions of the hits `ours`; see `meet`."""
     pi = hit.pi
     u, v, t = pi.prim_uv.x, pi.prim_uv.y, pi.t
     follows_shape = mi.has_flag(flags, mi.RayFlags.FollowShape)
@@ -394,6 +425,7 @@ def _interaction(
     n = tables.normal(jet, hit.patch, u, v, ours, place)
     exact = dr.select(far, mi.Vector3d(ray.o) + t * mi.Vector3d(ray.d), jet.p + jet.origin)
     p = mi.Point3f(exact)
+    p_err = dr.select(ours, jet.error(p, n), 0.0)
     pu, pv = mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
     if follows_shape and dr.grad_enabled(tables.nets, ray):
         t = dr.replace_grad(t, dr.norm(dr.select(ours, p - ray.o, 1.0)) / dr.norm(ray.d))
@@ -445,4 +477,4 @@ def _interaction(
     si.shape = dr.select(ours, pi.shape, dr.zeros(mi.ShapePtr))
     si.prim_index = dr.select(ours, pi.prim_index, 0)
     si.wi = dr.select(ours, si.to_local(-ray.d), -ray.d)
-    return si
+    return si, p_err

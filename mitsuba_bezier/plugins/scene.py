@@ -10,8 +10,9 @@ import drjit as dr
 import mitsuba as mi
 
 from .. import _runtime
-from .interaction import Preliminary
+from .interaction import Met, Preliminary
 from .native.originals import original
+from .offsets import Connection, own_error
 from .scene_data import SceneData, data_for_scene
 
 __all__ = ["SceneRays", "ray_intersect", "ray_test"]
@@ -49,15 +50,25 @@ class SceneRays:
         self, hit: Preliminary, ray: Any, flags: Any = None, active: Any = True
     ) -> Any:
         """Return the full interaction."""
+        return self.meet(hit, ray, flags, active).si
+
+    def meet(self, hit: Preliminary, ray: Any, flags: Any = None, active: Any = True) -> Met:
+        """Return the full interaction, and the error of its point, which `offsets` takes."""
         flags = mi.RayFlags.All if flags is None else flags
         if self.data is None:
-            return original(hit.pi, "compute_surface_interaction")(ray, flags, active)
-        ours = self.data.surface_interaction(hit, ray, flags, active)
+            return Met(original(hit.pi, "compute_surface_interaction")(ray, flags, active), None)
+        ours = self.data.meet(hit, ray, flags, active)
         if not self.data.scene_has_others:
             return ours
         own = original(hit.pi, "compute_surface_interaction")
         theirs = own(ray, flags, mi.Bool(active) & ~hit.bezier)
-        return dr.select(hit.bezier, ours, theirs)
+        si = dr.select(hit.bezier, ours.si, theirs)
+        p_err = dr.select(hit.bezier, ours.p_err, own_error(dr.detach(theirs.p)))
+        return Met(si, p_err)
+
+    def error_of(self, si: Any, active: Any = True) -> Any:
+        """Return the error of the point of an interaction that somebody else has made."""
+        return None if self.data is None else self.data.error_of(dr.detach(si), active)
 
     def intersect(
         self, ray: Any, flags: Any = None, coherent: bool = False, active: Any = True
@@ -73,6 +84,18 @@ class SceneRays:
             return self.data.test(ray, active)
         blocked = original(self.scene, "ray_test")(ray, active=active)
         return blocked | self.data.test(ray, mi.Bool(active) & ~blocked)
+
+    def is_blocked(self, connection: Connection, active: Any = True) -> Any:
+        """Return whether anything is between two points."""
+        ray = connection.ray
+        if self.data is None:
+            return original(self.scene, "ray_test")(ray, active=active)
+        at_patches = mi.Ray3f(ray)
+        at_patches.maxt = connection.reach
+        if not self.data.scene_has_others:
+            return self.data.test(at_patches, active)
+        blocked = original(self.scene, "ray_test")(ray, active=active)
+        return blocked | self.data.test(at_patches, mi.Bool(active) & ~blocked)
 
 
 def ray_intersect(

@@ -30,7 +30,8 @@ from ..leaves.records import LeafSettings, Leaves
 from .attached import attached_tables
 from .copies import CopyTables
 from .frozen import contents, is_bezier
-from .interaction import PatchTables, Preliminary, surface_interaction
+from .interaction import Met, PatchTables, Preliminary, meet
+from .offsets import own_error, position_error
 from .projections import Projections
 from .surface_sampling import SurfaceSampling
 
@@ -205,6 +206,28 @@ class SceneData:
             first = dr.gather(mi.UInt32, self.patch_first, patch, active)
         return dr.gather(mi.ShapePtr, self.pointers, number, active), patch - first
 
+    def patch_of(self, record: Any, active: Any) -> tuple[Any, Any]:
+        """Find the patch of a record by its shape and the number there; return it, and where."""
+        shape = dr.reinterpret_array(mi.UInt32, record.shape)
+        ours = mi.Bool(active) & record.is_valid() & (shape < dr.width(self.first_patch))
+        place = dr.gather(mi.UInt32, self.first_patch, shape, ours)
+        ours = ours & (place != NO_PATCH)
+        return dr.select(ours, place + record.prim_index, 0), ours
+
+    def error_of(self, si: Any, active: Any) -> Any:
+        """Return `Met.p_err` of an interaction, as far as that is known without its parameters."""
+        own = own_error(si.p)
+        if not isinstance(si, mi.SurfaceInteraction3f):
+            return own
+        patch, ours = self.patch_of(si, active)
+        pu, pv = si.dp_du, si.dp_dv
+        if self.tables.texcoords is not None:
+            _uv, du, dv = self.tables.texture(patch, mi.Float(0.0), mi.Float(0.0), ours)
+            pu, pv = pu * du.x + pv * du.y, pu * dv.x + pv * dv.y
+        # an interaction without partials was made by hand
+        known = ours & (dr.squared_norm(pu) + dr.squared_norm(pv) > 0)
+        return dr.select(known, position_error(si.p, si.n, pu, pv), own)
+
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether a ray hits any patch before ``ray.maxt``."""
         with _recorded():
@@ -213,10 +236,14 @@ class SceneData:
 
     def surface_interaction(self, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Any:
         """Return `mi.SurfaceInteraction3f` for hits on patches; invalid elsewhere."""
+        return self.meet(hit, ray, flags, active).si
+
+    def meet(self, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Met:
+        """Return the same, and the error of its point."""
         tables = self.tables
         if not mi.has_flag(flags, mi.RayFlags.DetachShape):
             tables = self.attached or attached_tables(tables, self.shapes)
-        return surface_interaction(tables, hit, ray, flags, active, self.copies)
+        return meet(tables, hit, ray, flags, active, self.copies)
 
     @contextmanager
     def attach(self, mode: Any) -> Iterator[None]:

@@ -272,14 +272,20 @@ class SurfaceSampling:
 
     def position(self, patch: Any, u: Any, v: Any, linear: Any, active: Any) -> Any:
         """Return the `mi.PositionSample3f` of what `sample_parameters` returned."""
+        return self.position_and_error(patch, u, v, linear, active)[0]
+
+    def position_and_error(
+        self, patch: Any, u: Any, v: Any, linear: Any, active: Any
+    ) -> tuple[Any, Any]:
+        """Return what `position` does, and the error of its point along its normal."""
         tables = self.data.tables
-        point, n, density = tables.point_and_normal(patch, u, v, active)
+        point, n, density, p_err = tables.point_and_error(patch, u, v, active)
         ps = dr.zeros(mi.PositionSample3f, dr.width(u))
         ps.p, ps.n = point, n
         ps.uv = tables.coordinates(patch, u, v, active)
         ps.pdf = dr.select(mi.Bool(active) & (density > 0), linear / density, 0.0)
         ps.delta = False
-        return ps
+        return ps, p_err
 
     def _cell(self, which: Any, patch: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the cell that parameters are in, and the place in it."""

@@ -11,6 +11,7 @@ import mitsuba as mi
 from ... import _runtime
 from ...errors import BezierError
 from ..interaction import Preliminary
+from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .depths import check_depths
 from .emitters import EmitterSampling
@@ -174,7 +175,7 @@ def _trace(
 
         # ---- emission of what the ray met
         surface = active & ~collides
-        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, surface)
+        si, p_err = rays.meet(hit, ray, mi.RayFlags.All, surface)
         emitter = si.emitter(scene, surface)
         ds = mi.DirectionSample3f(scene, si=si, ref=st["last"])
         emits = surface & (emitter != None)  # noqa: E711
@@ -199,19 +200,21 @@ def _trace(
         if media:
             asks = asks | (scatters & medium.use_emitter_sampling())
             ref.p, ref.n = dr.select(scatters, mei.p, si.p), dr.select(scatters, 0.0, si.n)
-        ds, em_weight = emitters.sample(ref, sampler.next_2d(asks), asks)
+        ds, em_weight, end_err = emitters.sample(ref, sampler.next_2d(asks), asks)
         asks = asks & (ds.pdf != 0.0)
         crosses = surface & si.is_medium_transition()
         into = dr.select(crosses, si.target_medium(ds.d), medium)
-        shadow = ref.spawn_ray_to(ds.p)
-        arrives = em_weight * transmittance(rays, media, shadow, into, sampler, asks)
+        shadow = spawn_ray_to(ref, p_err, ds.p, ds.n, end_err)
+        arrives = em_weight * transmittance(
+            rays, media, shadow.ray, into, sampler, asks, shadow.reach
+        )
         wo = si.to_local(ds.d)
         value, pdf, sample, new_weight = bsdf.eval_pdf_sample(
             context, si, wo, sampler.next_1d(bounces), sampler.next_2d(bounces), bounces
         )
         value = si.to_world_mueller(value, -wo, si.wi)
         new_weight = si.to_world_mueller(new_weight, -sample.wo, si.wi)
-        new_pdf, new_ray = sample.pdf, si.spawn_ray(si.to_world(sample.wo))
+        new_pdf, new_ray = sample.pdf, spawn_ray(si, p_err, si.to_world(sample.wo))
         if media:
             phase_context = mi.PhaseFunctionContext(sampler)
             phase = medium.phase_function()
@@ -229,7 +232,7 @@ def _trace(
 
         # ---- the next ray
         turns = bounces | scatters
-        new_ray = dr.select(passes, si.spawn_ray(ray.d), new_ray)
+        new_ray = dr.select(passes, spawn_ray(si, p_err, ray.d), new_ray)
         ray = dr.select(turns | passes, new_ray, ray)
         throughput = dr.select(turns, throughput * new_weight, throughput)
         eta = dr.select(bounces, st["eta"] * sample.eta, st["eta"])

@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from ... import _runtime
 from ...errors import BezierError
+from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .emitters import EmitterSampling
 from .path_tracing import mis_weight, skip_emitters
@@ -122,7 +123,8 @@ def make_direct_class() -> type:
             if self.hide_emitters:
                 moved = skip_emitters(rays, mi.Ray3f(ray), active)
                 ray.o = moved.o
-            si = rays.intersect(ray, mi.RayFlags.All, True, active)
+            hit = rays.preliminary(ray, True, active)
+            si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
             result = mi.Spectrum(0.0)
             if not self.hide_emitters:
                 result += si.emitter(scene, active).eval(si, active)
@@ -131,9 +133,10 @@ def make_direct_class() -> type:
             bsdf = si.bsdf(ray)
             smooth = valid & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             for _ in range(lights):
-                ds, weight = emitters.sample(si, sampler.next_2d(smooth), smooth)
+                ds, weight, end_err = emitters.sample(si, sampler.next_2d(smooth), smooth)
                 lit = smooth & (ds.pdf != 0.0)
-                lit = lit & ~rays.test(si.spawn_ray_to(ds.p), lit)
+                shadow = spawn_ray_to(si, p_err, ds.p, ds.n, end_err)
+                lit = lit & ~rays.is_blocked(shadow, lit)
                 wo = si.to_local(ds.d)
                 value, pdf = bsdf.eval_pdf(context, si, wo, lit)
                 value = si.to_world_mueller(value, -wo, si.wi)
@@ -146,7 +149,7 @@ def make_direct_class() -> type:
                 )
                 value = si.to_world_mueller(value, -sample.wo, si.wi)
                 goes_on = valid & dr.any(mi.unpolarized_spectrum(value) != 0.0)
-                onward = si.spawn_ray(si.to_world(sample.wo))
+                onward = spawn_ray(si, p_err, si.to_world(sample.wo))
                 hit = rays.preliminary(onward, False, goes_on)
                 met = rays.surface_interaction(hit, onward, mi.RayFlags.All, goes_on)
                 emitter = met.emitter(scene, goes_on)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..interaction import Preliminary
 from ..native.originals import original
+from ..offsets import own_error, spawn_ray
 from ..scene import SceneRays
 from ..surface_sampling import SurfaceSampling, direction_sample
 
@@ -57,15 +58,20 @@ class EmitterSampling:
         #: Mitsuba's numbers of these emitters
         self.numbers = [_number(emitters[index]) for index in emitter_of]
 
-    def sample(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any]:
-        """Return a direction sample and its weight; visibility is not tested."""
-        return self.sample_hit(si, sample, active)[:2]
+    def sample(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Return a direction sample, its weight and the error of its point.
 
-    def sample_hit(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Preliminary]:
+        Visibility is not tested. The error is that of a point on a patch along the normal, and 0
+        of other points.
+        """
+        return self.sample_hit(si, sample, active)[:3]
+
+    def sample_hit(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Preliminary]:
         """Return what `sample` does, and the sampled point as a hit where it is on a patch."""
         if self.surfaces is None:
             return (
                 *original(self.scene, "sample_emitter_direction")(si, sample, False, active),
+                mi.Float(0.0),
                 Preliminary.miss(),
             )
         index, weight, x = self.scene.sample_emitter(sample.x, active)
@@ -77,7 +83,8 @@ class EmitterSampling:
 
         light = dr.select(ours, light, 0)
         patch, u, v, linear = self.surfaces.sample_parameters(light, sample, ours)
-        exact = direction_sample(self.surfaces.position(patch, u, v, linear, ours), si)
+        ps, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
+        exact = direction_sample(ps, si)
         exact.emitter = emitter
         data = self.rays.data
         assert data is not None
@@ -96,7 +103,7 @@ class EmitterSampling:
         hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), ours, patch)
         hit.pi.t, hit.pi.prim_uv, hit.pi.shape = exact.dist, mi.Point2f(u, v), there.shape
         hit.pi.prim_index, hit.pi.valid = there.prim_index, ours
-        return ds, value * weight, hit
+        return ds, value * weight, dr.select(ours, p_err, 0.0), hit
 
     def pdf(self, ref: Any, ds: Any, si: Any, hit: Any, active: Any) -> Any:
         """Return the density of `sample` for a direction that met an emitter.
@@ -168,7 +175,7 @@ class EmitterSampling:
 
     def sample_position(
         self, index: Any, time: Any, sample: Any, active: Any
-    ) -> tuple[Any, Any, Any]:
+    ) -> tuple[Any, Any, Any, Any]:
         """Sample a point on emitters of finite extent.
 
         Parameters
@@ -181,22 +188,24 @@ class EmitterSampling:
 
         Returns
         -------
-        mi.PositionSample3f, one over its density, mi.ShapePtr
-            The shape that the emitter sits on.
+        mi.PositionSample3f, one over its density, mi.ShapePtr, Float
+            The shape that the emitter sits on, and by how much rays start off it.
         """
         emitter = dr.gather(mi.EmitterPtr, self.scene.emitters_dr(), index, active)
         shape = emitter.get_shape()
         if self.surfaces is None:
-            return *emitter.sample_position(time, sample, active), shape
+            ps, weight = emitter.sample_position(time, sample, active)
+            return ps, weight, shape, own_error(ps.p)
         light = dr.gather(mi.UInt32, self.of_emitter, index, active)
         ours = active & (light != _NONE)
         ps, weight = emitter.sample_position(time, sample, active & ~ours)
         light = dr.select(ours, light, 0)
         patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample), ours)
-        exact = self.surfaces.position(patch, u, v, linear, ours)
+        exact, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
         exact.time = time
         inverse = dr.select(exact.pdf > 0, dr.rcp(exact.pdf), 0.0)
-        return dr.select(ours, exact, ps), dr.select(ours, inverse, weight), shape
+        p_err = dr.select(ours, p_err, own_error(ps.p))
+        return dr.select(ours, exact, ps), dr.select(ours, inverse, weight), shape, p_err
 
     def sample_ray(
         self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any
@@ -219,7 +228,7 @@ class EmitterSampling:
         # as area lights do: a point by area, a direction by the cosine, whose density cancels
         light = dr.select(ours, light, 0)
         patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample2), ours)
-        ps = self.surfaces.position(patch, u, v, linear, ours)
+        ps, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
         si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ps.pdf))
         si.p, si.n, si.uv, si.time = ps.p, ps.n, ps.uv, time
         si.sh_frame = mi.Frame3f(ps.n)
@@ -233,6 +242,6 @@ class EmitterSampling:
             if beamed:
                 local = dr.select(light == k, mi.Vector3f(0, 0, 1), local)
                 angle = dr.select(light == k, 1.0, angle)
-        exact = si.spawn_ray(si.to_world(local))
+        exact = spawn_ray(si, p_err, si.to_world(local))
         flux = mi.Spectrum(radiance) * dr.select(ps.pdf > 0, angle / ps.pdf, 0.0)
         return dr.select(ours, exact, ray), dr.select(ours, flux, value) * weight, emitter

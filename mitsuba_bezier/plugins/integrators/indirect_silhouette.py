@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from ..attached import attached_tables, is_attached
 from ..boundary_lines import BoundaryLines
+from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .path_tracing import trace
 from .primary_silhouette import splatted, surface_at
@@ -97,13 +98,14 @@ def _importance(
     def body(st: dict) -> tuple[dict]:
         st = dict(st)
         ray, sampler, active = st["ray"], st["sampler"], st["active"]
-        si = rays.intersect(ray, mi.RayFlags.All, False, active)
+        hit = rays.preliminary(ray, False, active)
+        si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
         active = active & si.is_valid()
         bsdf = si.bsdf()
         smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         ds, weight = sensor.sample_direction(si, sampler.next_2d(), smooth)
         smooth = smooth & (ds.pdf > 0) & dr.any(weight > 0)
-        smooth = smooth & ~rays.test(si.spawn_ray_to(ds.p), smooth)
+        smooth = smooth & ~rays.is_blocked(spawn_ray_to(si, p_err, ds.p), smooth)
         value = bsdf.eval(context, si, si.to_local(ds.d), smooth)
         value = st["throughput"] * value * weight / ds.pdf
         found = st["found"] + dr.select(smooth, mi.UInt32(1), 0)
@@ -115,7 +117,7 @@ def _importance(
         throughput = st["throughput"] * bsdf_weight
         return (
             {
-                "ray": si.spawn_ray(si.to_world(sample.wo)),
+                "ray": spawn_ray(si, p_err, si.to_world(sample.wo)),
                 "throughput": throughput,
                 "kept": dr.select(keep, value, st["kept"]),
                 "position": dr.select(keep, ds.uv, st["position"]),

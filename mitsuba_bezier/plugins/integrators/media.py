@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..interaction import Preliminary
+from ..offsets import spawn_ray
 from ..scene import SceneRays
 
 __all__ = ["Media", "flight_channel", "flight_weight", "hit_distance", "transmittance"]
@@ -84,7 +85,13 @@ def flight_weight(medium: Any, mei: Any, limit: Any, active: Any) -> Any:
 
 
 def transmittance(
-    rays: SceneRays, media: Media, ray: Any, medium: Any, sampler: Any, active: Any
+    rays: SceneRays,
+    media: Media,
+    ray: Any,
+    medium: Any,
+    sampler: Any,
+    active: Any,
+    reach: Any = None,
 ) -> Any:
     """Return what of the light gets along rays, through media and index-matched surfaces.
 
@@ -101,15 +108,19 @@ def transmittance(
         Where it starts.
     sampler : mi.Sampler
     active : mi.Bool
+    reach : mi.Float, optional
+        Up to where media and patches count, as `offsets.Connection` has it: ``maxt`` or beyond.
 
     Returns
     -------
     mi.Spectrum
         A Mueller matrix in polarized variants.
     """
+    reach = mi.Float(ray.maxt if reach is None else reach)
     state = {
         "ray": mi.Ray3f(ray),
-        "left": mi.Float(ray.maxt),
+        "left": reach,
+        "short": mi.Float(reach - ray.maxt),
         "hit": Preliminary.miss(),
         "search": mi.Bool(active),
         "medium": mi.MediumPtr(medium),
@@ -120,11 +131,13 @@ def transmittance(
 
     def body(st: dict) -> tuple[dict]:
         ray, left, medium, sampler = mi.Ray3f(st["ray"]), st["left"], st["medium"], st["sampler"]
-        active, through = st["active"], st["through"]
+        active, through, short = st["active"], st["through"], st["short"]
         ray.maxt = left
         search = active & st["search"]
         hit = dr.select(search, rays.preliminary(ray, False, search), st["hit"])
+        # Mitsuba's shapes do not count in the last part of the way: the emitter may be one
         distance = hit_distance(hit)
+        distance = dr.select(hit.bezier | (distance < left - short), distance, dr.inf)
         collides = mi.Bool(False)
 
         if media:
@@ -149,11 +162,11 @@ def transmittance(
             through = through * mi.Spectrum(dr.select(inside, weight, 1.0))
 
         surface = active & ~collides & (distance < left)
-        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, surface)
+        si, p_err = rays.meet(hit, ray, mi.RayFlags.All, surface)
         passed = si.bsdf(ray).eval_null_transmission(si, surface)
         passed = si.to_world_mueller(passed, si.wi, si.wi)
         through = dr.select(surface, through * passed, through)
-        ray = dr.select(surface, si.spawn_ray(ray.d), ray)
+        ray = dr.select(surface, spawn_ray(si, p_err, ray.d), ray)
         left = dr.select(surface, left - distance, left)
         crosses = surface & si.is_medium_transition()
         medium = dr.select(crosses, si.target_medium(ray.d), medium)
@@ -162,6 +175,7 @@ def transmittance(
             {
                 "ray": ray,
                 "left": left,
+                "short": short,
                 "hit": hit,
                 "search": surface,
                 "medium": medium,

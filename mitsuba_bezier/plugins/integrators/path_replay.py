@@ -10,6 +10,7 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..interaction import Preliminary
 from ..native.originals import original
+from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .emitters import EmitterSampling
 from .path_tracing import mis_weight, skip_emitters
@@ -114,7 +115,7 @@ def _replay(
         ray, hit, sampler, active = st["ray"], st["hit"], st["sampler"], st["active"]
         throughput, prev = st["throughput"], st["prev_si"]
         with dr.resume_grad():
-            si = rays.surface_interaction(hit, ray, mi.RayFlags.All, active)
+            si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
             # the vertex before may move: then light leaves here into another direction
             indirect = active & (st["depth"] > 0) & si.is_valid()
             before = rays.surface_interaction(
@@ -142,9 +143,12 @@ def _replay(
 
         # ---- a sample of the emitters
         smooth = active_next & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ds, em_weight, em_hit = emitters.sample_hit(here, sampler.next_2d(active_next), smooth)
+        ds, em_weight, end_err, em_hit = emitters.sample_hit(
+            here, sampler.next_2d(active_next), smooth
+        )
         smooth = smooth & (ds.pdf != 0.0)
-        smooth = smooth & ~rays.test(here.spawn_ray_to(ds.p), smooth)
+        shadow = spawn_ray_to(here, p_err, ds.p, ds.n, end_err)
+        smooth = smooth & ~rays.is_blocked(shadow, smooth)
         with dr.resume_grad():
             em_weight, direction = _attached_emitter(rays, si, here, ds, em_weight, em_hit, smooth)
             wo = si.to_local(direction)
@@ -161,7 +165,7 @@ def _replay(
             sampler.next_2d(active_next),
             active_next,
         )
-        next_ray = here.spawn_ray(here.to_world(sample.wo))
+        next_ray = spawn_ray(here, p_err, here.to_world(sample.wo))
         rest = st["rest"] - dr.detach(emitted) - dr.detach(direct)
         throughput = throughput * bsdf_weight
         eta = st["eta"] * sample.eta

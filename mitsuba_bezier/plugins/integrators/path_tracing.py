@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..interaction import Preliminary
+from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .emitters import EmitterSampling
 
@@ -30,8 +31,8 @@ def skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
     seen = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & active  # noqa: E711
 
     def body(ray: Any, seen: Any) -> tuple:
-        si = rays.intersect(ray, mi.RayFlags.Minimal, True, seen)
-        moved = si.spawn_ray(ray.d)
+        hit = rays.preliminary(ray, True, seen)
+        moved = spawn_ray(*rays.meet(hit, ray, mi.RayFlags.Minimal, seen), ray.d)
         ray.o = dr.select(seen, moved.o, ray.o)
         hit = rays.preliminary(ray, True, seen)
         again = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & seen  # noqa: E711
@@ -101,7 +102,7 @@ def trace(
         else:
             first = st["depth"] == vertices
             hit = dr.select(first, start, rays.preliminary(ray, False, active & ~first))
-        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, active)
+        si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
 
         # ---- emission met by the BSDF's sample
         emitter = si.emitter(scene, active)
@@ -123,10 +124,10 @@ def trace(
 
         # ---- a sample of the emitters
         smooth = active_next & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ds, em_weight = emitters.sample(si, sampler.next_2d(active_next), smooth)
+        ds, em_weight, end_err = emitters.sample(si, sampler.next_2d(active_next), smooth)
         smooth = smooth & (ds.pdf != 0.0)
-        shadow = si.spawn_ray_to(ds.p)
-        smooth = smooth & ~rays.test(shadow, smooth)
+        shadow = spawn_ray_to(si, p_err, ds.p, ds.n, end_err)
+        smooth = smooth & ~rays.is_blocked(shadow, smooth)
         wo = si.to_local(ds.d)
         value, pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
             context, si, wo, sampler.next_1d(active_next), sampler.next_2d(active_next), active_next
@@ -137,7 +138,7 @@ def trace(
 
         # ---- the next ray
         bsdf_weight = si.to_world_mueller(bsdf_weight, -sample.wo, si.wi)
-        ray = si.spawn_ray(si.to_world(sample.wo))
+        ray = spawn_ray(si, p_err, si.to_world(sample.wo))
         throughput = st["throughput"] * bsdf_weight
         eta = st["eta"] * sample.eta
         null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)

@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ... import _runtime
+from ..offsets import own_error, spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .depths import check_depths
 from .emitters import EmitterSampling
@@ -101,10 +102,10 @@ class _Splat:
             time += self.sampler.next_1d() * self.sensor.shutter_open_time()
         return time
 
-    def connect(self, si: Any, ds: Any, value: Any, alpha: float, active: Any) -> None:
+    def connect(self, si: Any, p_err: Any, ds: Any, value: Any, alpha: float, active: Any) -> None:
         """Add `value`, the light from `si` towards the sensor, unless something is between."""
         active = active & (ds.pdf > 0) & dr.any(mi.unpolarized_spectrum(value) != 0)
-        active = active & ~self.rays.test(si.spawn_ray_to(ds.p), active)
+        active = active & ~self.rays.is_blocked(spawn_ray_to(si, p_err, ds.p), active)
         position = ds.uv + mi.Vector2f(self.block.offset())
         # no weights: the scale alone makes an estimate of the sum
         self.block.put(
@@ -129,7 +130,7 @@ def _visible_emitters(splat: _Splat) -> None:
     far = mi.SurfaceInteraction3f(ds, eye.wavelengths)
     far_weight = dr.select(ds.pdf > 0, dr.square(ds.dist) / ds.pdf, 0.0)
 
-    ps, near_weight, owner = splat.emitters.sample_position(
+    ps, near_weight, owner, p_err = splat.emitters.sample_position(
         index, time, sampler.next_2d(active), active & ~infinite
     )
     near = mi.SurfaceInteraction3f(ps, eye.wavelengths)
@@ -146,7 +147,9 @@ def _visible_emitters(splat: _Splat) -> None:
     on_surface = si.shape != None  # noqa: E711
     cosine = mi.Frame3f.cos_theta(local)
     facing = dr.select(on_surface, dr.maximum(cosine, 0.0), dr.select(cosine > 0, 1.0, 0.0))
-    splat.connect(si, sensor_ds, value * facing, 0.0, active)
+    known = splat.rays.data is not None
+    p_err = dr.select(infinite, own_error(far.p), p_err) if known else None
+    splat.connect(si, p_err, sensor_ds, value * facing, 0.0, active)
 
 
 def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
@@ -170,7 +173,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         ray, active = st["ray"], st["active"]
         splat.sampler = sampler = st["sampler"]
         hit = rays.preliminary(ray, False, active)
-        si = rays.surface_interaction(hit, ray, mi.RayFlags.All, active)
+        si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
         active = active & si.is_valid()
         bsdf = si.bsdf(ray)
         inward = dr.dot(si.n, -ray.d)
@@ -185,7 +188,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         value = importance * si.to_world_mueller(value, -si.wi, wo) * st["throughput"]
         outward, outward_shading = dr.dot(si.n, towards), mi.Frame3f.cos_theta(wo)
         value *= _correction(inward, inward_shading, outward, outward_shading)
-        splat.connect(si, ds, value, 1.0, active)
+        splat.connect(si, p_err, ds, value, 1.0, active)
 
         # ---- the next surface
         sample, weight = bsdf.sample(
@@ -207,7 +210,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
         return (
             {
-                "ray": si.spawn_ray(onward),
+                "ray": spawn_ray(si, p_err, onward),
                 "throughput": throughput,
                 "eta": eta,
                 "depth": depth,

@@ -18,8 +18,9 @@ import mitsuba as mi
 
 from ..integrators.emitters import EmitterSampling
 from ..interaction import Preliminary
+from ..offsets import spawn_ray_to
 from ..scene import SceneRays
-from ..scene_data import NO_PATCH, SceneData, data_for_scene, known_data
+from ..scene_data import SceneData, data_for_scene, known_data
 from .originals import original, replace
 
 __all__ = ["install", "is_on", "native", "prepare"]
@@ -175,10 +176,11 @@ def _sample_emitter_direction(
         own = original(self, "sample_emitter_direction")
         return own(ref, sample, test_visibility, active)
     active = mi.Bool(active)
-    ds, weight = EmitterSampling(rays).sample(ref, mi.Point2f(sample), active)
+    ds, weight, end_err = EmitterSampling(rays).sample(ref, mi.Point2f(sample), active)
     if test_visibility:
         seen = active & (ds.pdf != 0.0)
-        blocked = seen & rays.test(ref.spawn_ray_to(ds.p), seen)
+        p_err = rays.error_of(ref, seen)
+        blocked = seen & rays.is_blocked(spawn_ray_to(ref, p_err, ds.p, ds.n, end_err), seen)
         weight = dr.select(blocked, 0.0, weight)
         ds.pdf = dr.select(blocked, 0.0, ds.pdf)
     return ds, weight
@@ -250,8 +252,5 @@ def _interaction(self: Any, ray: Any, ray_flags: Any = None, active: Any = True)
 
 def _preliminary(data: SceneData, pi: Any, active: Any) -> Preliminary:
     """Find the patch of a hit by its shape and its number there."""
-    shape = dr.reinterpret_array(mi.UInt32, pi.shape)
-    ours = active & pi.is_valid() & (shape < dr.width(data.first_patch))
-    place = dr.gather(mi.UInt32, data.first_patch, shape, ours)
-    ours = ours & (place != NO_PATCH)
-    return Preliminary(pi, ours, dr.select(ours, place + pi.prim_index, 0))
+    patch, ours = data.patch_of(pi, active)
+    return Preliminary(pi, ours, patch)

@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..frozen import is_bezier
+from ..offsets import spawn_ray
 from .names import take_name
 from .originals import original, replace
 
@@ -92,7 +93,7 @@ def _sampler_of_rays(name: str) -> Any:
         # wavelengths, direction and weight are the sensor's; the position it cannot know
         ray, weight = own(time, sample1, sample2, sample3, active)
         point = sample3 if kind == "distant" else sample2
-        ps = shape.sample_position(time, mi.Point2f(point), active)
+        ps, p_err = shape.sample_point(time, mi.Point2f(point), active)
         share = dr.rcp(ps.pdf * shape.surface_area())
         share = dr.select(ps.pdf > 0, share, 0.0)
         if kind == "distant":
@@ -102,7 +103,7 @@ def _sampler_of_rays(name: str) -> Any:
         si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ps.pdf))
         si.p, si.n, si.time = ps.p, ps.n, mi.Float(time)
         si.sh_frame = mi.Frame3f(ps.n)
-        away = si.spawn_ray(si.to_world(local))
+        away = spawn_ray(si, p_err, si.to_world(local))
         ray.o, ray.d = away.o, away.d
         return ray, weight * share
 

@@ -463,10 +463,15 @@ def make_shape_class() -> type:
 
         def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
             """Sample the surface nearly by area; return `mi.PositionSample3f`."""
-            sampling = self._alone().surface_sampling((0,))
-            ps, _patch = sampling.sample(mi.UInt32(0), mi.Point2f(sample), mi.Bool(active))
+            return self.sample_point(time, sample, active)[0]
+
+        def sample_point(self, time: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+            """Return what `sample_position` does, and the error of the point along the normal."""
+            sampling, active = self._alone().surface_sampling((0,)), mi.Bool(active)
+            place = sampling.sample_parameters(mi.UInt32(0), mi.Point2f(sample), active)
+            ps, p_err = sampling.position_and_error(*place, active)
             ps.time = time
-            return ps
+            return ps, p_err
 
         def pdf_position(self, ps: Any, active: Any = True) -> Any:
             """Return the density of `sample_position`; reads ``ps.p`` and ``ps.n``."""
