@@ -204,8 +204,9 @@ def _spherical(q: Any, m: Any, least: Any) -> tuple[Any, ...]:
     # the gradients, times 2 pi rho^2 and pi r^2
     down = mi.Vector3d(q.z * x, q.z * y, -rho * rho) / rho
     east = mi.Vector3d(-y, x, 0.0) / rho
-    height = dr.select(axis, 0.0, rho)
-    uv = mi.Point2f(_angle(x, y), dr.atan2(mi.Float(height), mi.Float(q.z)) * dr.inv_pi)
+    out, up = mi.Float(dr.select(axis, 0.0, rho)), mi.Float(q.z)
+    up = dr.select(axis & (up == 0), 1.0, up)  # the origin
+    uv = mi.Point2f(_angle(x, y), dr.atan2(out, up) * dr.inv_pi)
     du = dr.select(axis, 0.0, dr.cross(m, down) * (dr.two_pi * rho * facing))
     dv = dr.cross(east, m) * (dr.pi * r2 * facing)
     # Mitsuba's sphere takes the x axis at either pole

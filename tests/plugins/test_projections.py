@@ -458,6 +458,31 @@ def test_derivatives_by_to_world(kind, follow):
     assert np.quantile(off, 0.98) < 0.01
 
 
+@pytest.mark.parametrize("kind", PAIRS)
+def test_derivatives_by_the_ray(kind):
+    native, uv, patches = PAIRS[kind]
+    scenes = (
+        mi.load_dict({"type": "scene", "shape": {"type": native}}),
+        mi.load_dict({"type": "scene", "shape": bezier(patches(), uv=uv)}),
+    )
+    found = []
+    for scene in scenes:
+        ray = ray_of(*ball_rays(500))
+        dr.enable_grad(ray.o)
+        si = mb.ray_intersect(scene, ray)
+        value = si.uv.x + 2 * si.uv.y
+        hit = np.array(si.is_valid() & (dr.abs(dr.dot(si.n, ray.d)) > 0.2))
+        hit &= (np.hypot(*numbers(si.p).T[:2]) > 0.2) | (kind == "rectangle")
+        dr.backward(dr.select(si.is_valid(), value, 0))
+        found.append((hit, numbers(dr.grad(ray.o))))
+    (one, theirs), (other, ours) = found
+    assert np.isfinite(ours).all()
+    assert not ours[~np.array(si.is_valid())].any()
+    assert (one & other).sum() > 100
+    # float32 by slants and distances from the axis of 0.2
+    assert np.abs(theirs - ours)[one & other].max() < 1e-3
+
+
 def test_derivatives_by_the_net():
     shape = mi.load_dict(bezier(uv="spherical"))
     params = mi.traverse(shape)
