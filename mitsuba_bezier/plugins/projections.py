@@ -25,7 +25,8 @@ PROJECTIONS = {
 #: Numbers a shape in `Projections.rows`: linear part and translation of ``to_world``, the inverse
 #: of the linear part, how far from the axis a point is not on it, and 0 to the next whole packet.
 _ROW = 24
-#: That distance, of the size of the shape: far below what rounds a point, so that poles are hit.
+#: That distance, of the size of the shape: far below what rounds a point, so that poles and the
+#: seam are hit.
 _AXIS = 1e-12
 #: Cosine between the normal and the direction of a projection below which a surface has no
 #: partials by texture coordinates: float32 normals are good to 1e-7.
@@ -182,10 +183,12 @@ def _around(q: Any, least: Any) -> tuple[Any, ...]:
     """Return x, y, their distance from the axis, which is 1 on it, and where that is."""
     square = dr.fma(q.x, q.x, q.y * q.y)
     axis = ~(square > least * least)
+    # a ray along the seam is to see its beginning, whatever the sign of a rounding
+    y = dr.replace_grad(dr.select(dr.abs(q.y) > least, q.y, 0.0), q.y)
     # derivatives stay finite, too
     return (
         dr.select(axis, 1.0, q.x),
-        dr.select(axis, 0.0, q.y),
+        dr.select(axis, 0.0, y),
         dr.sqrt(dr.select(axis, 1.0, square)),
         axis,
     )

@@ -195,10 +195,16 @@ def test_the_seam(kind):
     assert hit.all()
     column = 1 if kind == "disk" else 0
     u = numbers(ours.uv)[:, column]
+    assert np.abs(u - numbers(theirs.uv)[:, column]).max() < 4 * 2.0**-24
     # just below the x axis comes the end, just above it the beginning
     assert ((u > 0.99) == (y < 0)).all()
     assert ((u < 0.01) == (y > 0)).all()
-    assert np.abs(u - numbers(theirs.uv)[:, column]).max() < 4 * 2.0**-24
+    # and on it, too
+    o[:, 1], o[:, 0 if kind == "disk" else 2] = 0, np.linspace(0.05, 0.95, len(o))
+    theirs, ours, hit = both(kind, o, np.broadcast_to(d, o.shape))
+    assert hit.all()
+    assert not numbers(theirs.uv)[:, column].any()
+    assert not numbers(ours.uv)[:, column].any()
 
 
 def test_where_a_surface_has_no_partials():
