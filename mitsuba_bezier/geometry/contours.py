@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -178,7 +179,7 @@ def open_edges(patches: BezierTriangles, creases: bool = True) -> np.ndarray:
     usable = finite & (length > 1e-6 * extent)
 
     ends = np.rint(points[:, [0, -1]] / (4 * _TOGETHER * extent))
-    bucket: dict[tuple, list[int]] = defaultdict(list)
+    bucket: dict[tuple[Any, ...], list[int]] = defaultdict(list[Any])
     for number in np.flatnonzero(usable):
         first, last = (tuple(x) for x in ends[number])
         bucket[min(first, last), max(first, last)].append(int(number))

@@ -202,7 +202,7 @@ class BezierTriangles:
             pu = (h[1][:, :3] - p * h[1][:, 3:]) * inv
             pv = (h[2][:, :3] - p * h[2][:, 3:]) * inv
 
-            def second(hab: np.ndarray, pa, pb, wa, wb) -> np.ndarray:
+            def second(hab: np.ndarray, pa: Any, pb: Any, wa: Any, wb: Any) -> np.ndarray:
                 return (hab[:, :3] - p * hab[:, 3:] - pa * wb - pb * wa) * inv
 
             wu, wv = h[1][:, 3:], h[2][:, 3:]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -235,7 +236,7 @@ def _end(file: _File, name: str) -> None:
         raise file.error(f"$End{name[1:]}", repr(word[:40]))
 
 
-def _read_nodes_2(file: _File, nodes: list) -> None:
+def _read_nodes_2(file: _File, nodes: list[Any]) -> None:
     count = _header(file, "the number of nodes")
     if isinstance(file, _Binary):
         nodes.append(file.nodes(count))
@@ -246,7 +247,7 @@ def _read_nodes_2(file: _File, nodes: list) -> None:
     nodes.append((values[:, 0].astype(np.int64), values[:, 1:]))
 
 
-def _read_nodes_4(file: _File, nodes: list) -> None:
+def _read_nodes_4(file: _File, nodes: list[Any]) -> None:
     blocks = _count(file, "u8", "the number of blocks of nodes")
     file.take("u8", 3, "the header of $Nodes")
     for _ in range(blocks):
@@ -265,7 +266,7 @@ def _size(file: _File, kind: int) -> int:
     return _TYPES[kind][2]
 
 
-def _read_elements_2(file: _File, elements: dict) -> None:
+def _read_elements_2(file: _File, elements: dict[int, Any]) -> None:
     left = _header(file, "the number of elements")
     if isinstance(file, _Text):
         for _ in range(left):
@@ -285,7 +286,7 @@ def _read_elements_2(file: _File, elements: dict) -> None:
         left -= count
 
 
-def _read_elements_4(file: _File, elements: dict) -> None:
+def _read_elements_4(file: _File, elements: dict[int, Any]) -> None:
     blocks = _count(file, "u8", "the number of blocks of elements")
     file.take("u8", 3, "the header of $Elements")
     for _ in range(blocks):

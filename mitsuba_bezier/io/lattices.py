@@ -11,13 +11,14 @@ vtkHigherOrderQuadrilateral and vtkHigherOrderTetra of VTK.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 __all__ = ["hexahedron_lattice", "quad_lattice", "tetra_lattice", "triangle_lattice"]
 
 
-def _frozen(rows: list) -> np.ndarray:
+def _frozen(rows: list[Any]) -> np.ndarray:
     out = np.array(rows, dtype=int)
     out.setflags(write=False)
     return out

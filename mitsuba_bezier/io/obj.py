@@ -16,6 +16,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -111,7 +112,7 @@ class _Reader:
         self.unknown: dict[str, list[int]] = {}  # their lines
         self.line = 0
 
-    def error(self, expected: str, got: object):
+    def error(self, expected: str, got: object) -> Any:
         return damaged(self.path, expected, got, line=self.line)
 
     def numbers(self, words: list[str], low: int, high: int, name: str) -> list[float]:

@@ -237,7 +237,7 @@ def _walk_to_candidates(
     walk_out = Walk(*(dr.empty(x, count) for x in (ty.UInt, state, state, ty.UInt)))
     dr.make_opaque(leaf_out, walk_out)
 
-    def next_ray(lane):
+    def next_ray(lane: Any) -> Any:
         """Put away what was found, and take the next ray."""
         done = lane.place != NO_LEAF
         dr.scatter(leaf_out, lane.leaf, lane.place, done)
@@ -258,7 +258,7 @@ def _walk_to_candidates(
             walk = Walk(*(dr.gather(type(x), x, place, known) for _k, x in _fields(queue.walk)))
         return _Lane(lane.next + _PACKET, place, o, d, t_max, slabs, walk, ty.UInt(NO_LEAF))
 
-    def body(run, lane):
+    def body(run: Any, lane: Any) -> Any:
         needs = run & (~lane.walk.goes_on() | (lane.leaf != NO_LEAF))
         lane = dr.if_stmt(
             args=(lane,),
@@ -270,7 +270,7 @@ def _walk_to_candidates(
         run = run & (lane.place != NO_LEAF)
         walk = walk_to_leaves(s.nodes, ty, first, lane.walk, lane.slabs, lane.t, run, _NODES)
 
-        def look(walk, o, d, t):
+        def look(walk: Any, o: Any, d: Any, t: Any) -> Any:
             leaves, leaf, line = take_candidate(s, ty, first, walk.leaves, o, d, t, run, any_hit)
             if any_hit and s.decides:
                 leaf = dr.select((leaf != NO_LEAF) & line.sure, _SURE, leaf)
@@ -327,8 +327,8 @@ def _distance(s: Structure, ty: Types, o: list[Any], d: list[Any]) -> float:
     samples = min(_SAMPLES, count // 2)
     first = dr.arange(ty.UInt, samples) * dr.opaque(ty.UInt, count // samples)
 
-    def ray(number):
-        def at(x):
+    def ray(number: Any) -> Any:
+        def at(x: Any) -> Any:
             return ty.Float(x) if dr.width(x) == 1 else dr.gather(ty.Float, x, number)
 
         return [at(x) for x in o], [at(x) for x in d]

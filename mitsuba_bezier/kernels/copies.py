@@ -95,7 +95,7 @@ def intersect_copies(
     inv_length2 = reciprocal(dot3(d, d))
     inv_length = dr.sqrt(inv_length2)
 
-    def body(run, walk, t, leaf, u, v, copy):
+    def body(run: Any, walk: Any, t: Any, leaf: Any, u: Any, v: Any, copy: Any) -> Any:
         walk, index = next_leaf(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
         found = run & (index != NO_LEAF)
         m = gather_packets(c.records, index, COPY, found)

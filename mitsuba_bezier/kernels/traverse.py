@@ -74,7 +74,7 @@ def _meet_group(
 ) -> tuple[Any, Any, Any, Any]:
     """Do what `search` does where all there is are the patches of one quadric: no tree to walk."""
 
-    def meet_it(active):
+    def meet_it(active: Any) -> Any:
         hit, t, u, v, leaf = group_hit(s, ty, ty.UInt(0), o, d, t_max, active)
         return t, dr.select(hit, leaf, NO_LEAF), u, v
 
@@ -112,8 +112,8 @@ def search(
         none = dr.full(ty.UInt, NO_LEAF, dr.width(active))
         return t_max, none, dr.zeros(ty.Float), dr.zeros(ty.Float)
 
-    def body(run, walk, t, leaf, u, v):
-        def candidate(walk, run):
+    def body(run: Any, walk: Any, t: Any, leaf: Any, u: Any, v: Any) -> Any:
+        def candidate(walk: Any, run: Any) -> Any:
             return _candidate(s, ty, first, walk, o, d, slabs, t, run, any_hit)
 
         if any_hit:
@@ -278,7 +278,7 @@ def _until_found(ty: Types, candidate: Any, walk: Walk, run: Any) -> tuple[Walk,
     marches. It pays where few go on after their first.
     """
 
-    def body(go, walk, leaf, line):
+    def body(go: Any, walk: Any, leaf: Any, line: Any) -> Any:
         walk, leaf, line = candidate(walk, go)
         return go & (leaf == NO_LEAF) & walk.goes_on(), walk, leaf, line
 
@@ -313,10 +313,10 @@ def _candidate(
         walk, leaf = next_leaf(s.nodes, ty, first, walk, slabs, t_max, run)
         return walk, leaf, ChartLine.zero(ty)
 
-    def take(leaves, go):
+    def take(leaves: Any, go: Any) -> Any:
         return take_candidate(s, ty, first, leaves, o, d, t_max, go, any_hit)
 
-    def body(go, leaves, leaf, line):
+    def body(go: Any, leaves: Any, leaf: Any, line: Any) -> Any:
         leaves, leaf, line = take(leaves, go)
         if not any_hit:
             others, second, its_line = take(leaves, go)

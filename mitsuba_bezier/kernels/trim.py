@@ -52,7 +52,7 @@ def keep(table: TrimTable, cell: Any, u: Any, v: Any, active: Any = True) -> Any
     first, count, base = (dr.reinterpret_array(ty.UInt, c[k]) for k in (10, 11, 12))
     last = first + count
 
-    def body(run, k, inside, near):
+    def body(run: Any, k: Any, inside: Any, near: Any) -> Any:
         crossed, touched = _meet(table, ty, k, s, t, run)
         inside = inside ^ crossed
         near = near | touched
@@ -107,7 +107,7 @@ def _meet(table: TrimTable, ty: Types, k: Any, s: Any, t: Any, active: Any) -> t
     n = table.degree
     net = gather_packets(table.curves, k, 3 * (n + 1), beside)
 
-    def body(run, step, a, b, fa, ga, fb, gb):
+    def body(run: Any, step: Any, a: Any, b: Any, fa: Any, ga: Any, fb: Any, gb: Any) -> Any:
         x = 0.5 * (a + b)
         fx, gx = _evaluate(net, n, x)
         right = f >= fx

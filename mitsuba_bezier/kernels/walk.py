@@ -121,18 +121,18 @@ def walk_to_leaves(
     Nothing is done where the walk has leaves already. The tree begins at `first`.
     """
 
-    def waits(walk):
+    def waits(walk: Any) -> Any:
         return (walk.leaves == 0) & (walk.node != 0)
 
-    def step(walk, go):
+    def step(walk: Any, go: Any) -> Any:
         record = gather_packets(nodes.records, first + walk.node, NODE, go)
         return _step(ty, record, nodes.unbounded, walk, slabs, t_max)
 
-    def body(go, walk):
+    def body(go: Any, walk: Any) -> Any:
         walk = step(walk, go)
         return go & waits(walk), walk
 
-    def counted(go, walk, count):
+    def counted(go: Any, walk: Any, count: Any) -> Any:
         walk, count = step(walk, go), count + 1
         return go & waits(walk) & (count < most), walk, count
 

@@ -184,7 +184,9 @@ def sphere(center: Any, radius: float, origins: Any, directions: Any) -> Analyti
     return AnalyticHits(t, np.where(hit[..., None], normals, 0.0), clearance)
 
 
-def _axial(point: np.ndarray, axis: np.ndarray, radial: float, axial: float, constant: float):
+def _axial(
+    point: np.ndarray, axis: np.ndarray, radial: float, axial: float, constant: float
+) -> np.ndarray:
     """Return `A` of ``radial |x_perp|^2 + axial (x.axis)^2 + constant``, `x` from `point`."""
     along = np.outer(axis, axis)
     upper = radial * (np.eye(3) - along) + axial * along

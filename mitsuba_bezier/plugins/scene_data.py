@@ -376,11 +376,11 @@ def _texcoords(shapes: list[Any]) -> Any:
 
 # ---------------------------------------------------------------------- cache
 
-_cache: OrderedDict[tuple, SceneData] = OrderedDict()
+_cache: OrderedDict[tuple[Any, ...], SceneData] = OrderedDict()
 _CACHE_SIZE = 8
 
 
-def _cached(key: tuple, make: Any) -> SceneData:
+def _cached(key: tuple[Any, ...], make: Any) -> SceneData:
     if key in _cache:
         _cache.move_to_end(key)
         return _cache[key]

@@ -169,7 +169,7 @@ class SilhouetteCurves:
             eye = self.eye
             near = tables.relative(eye, patch, active)
 
-            def newton(k: Any, height: Any) -> tuple:
+            def newton(k: Any, height: Any) -> tuple[Any, ...]:
                 q = foot + height * across
                 h = tables.second(patch, q.x, q.y, active)
                 f, fu, fv = facing(h, near)

@@ -82,7 +82,9 @@ def find_members(
     def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
         return _barycentrics(s, ty, leaf, roots.exactly(along), active)
 
-    def body(run, k, following, hit1, hit2, leaf1, leaf2, sides):
+    def body(
+        run: Any, k: Any, following: Any, hit1: Any, hit2: Any, leaf1: Any, leaf2: Any, sides: Any
+    ) -> Any:
         m = gather_packets(s.members, k, MEMBER, run)
         leaf = dr.reinterpret_array(ty.UInt, m[12])
         is_in1 = _inside(m, roots.point[0], roots.tolerance[0])
@@ -157,8 +159,8 @@ def find_members_singly(
     ]
     masks = [dr.select(wanted, mask, 0) for wanted, mask in zip(roots.wanted, masks)]
 
-    def body(run, left, hit, second, leaf, u, v):
-        def step(go, left, found, second, leaf, mark):
+    def body(run: Any, left: Any, hit: Any, second: Any, leaf: Any, u: Any, v: Any) -> Any:
+        def step(go: Any, left: Any, found: Any, second: Any, leaf: Any, mark: Any) -> Any:
             place = ty.UInt(dr.tzcnt(left))
             left = left & (left - 1)
             m = gather_packets(s.members, first + (place & 15), MEMBER, go)

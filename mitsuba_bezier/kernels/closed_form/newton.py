@@ -44,7 +44,7 @@ def section_parameters(
     # the coefficients are small from the middle on, so are their roundings
     equations, degree = _equations(s, leaf, x - 0.5, y - 0.5, active)
 
-    def body(run, step, u, v):
+    def body(run: Any, step: Any, u: Any, v: Any) -> Any:
         du, dv, _det = _newton(*horner(equations, degree, u, v))
         size = dr.maximum(dr.abs(du), dr.abs(dv))
         usable = size < 1.0  # false for NaN
@@ -103,7 +103,18 @@ def inverted_parameters(
     scale = reciprocal(start[0] + start[1] + start[2])
     u, v = dr.fma(start[0], scale, -1 / 3), dr.fma(start[1], scale, -1 / 3)
 
-    def body(run, step, u, v, before, back_u, back_v, by_u, by_v, by_both):
+    def body(
+        run: Any,
+        step: Any,
+        u: Any,
+        v: Any,
+        before: Any,
+        back_u: Any,
+        back_v: Any,
+        by_u: Any,
+        by_v: Any,
+        by_both: Any,
+    ) -> Any:
         (f, g), (fu, gu), (fv, gv) = evaluated = horner(equations, degree, u, v)
         du, dv, det = _newton(*evaluated)
         size = dr.maximum(dr.abs(du), dr.abs(dv))

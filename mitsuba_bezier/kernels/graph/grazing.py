@@ -53,7 +53,7 @@ def polish(
     """
     t, u, v, closing = hit
 
-    def step(t, u, v, closing, leaf, base):
+    def step(t: Any, u: Any, v: Any, closing: Any, leaf: Any, base: Any) -> Any:
         f64 = ty.Float64
         record = gather_packets(s.affine, leaf, AFFINE, active)
         size = HEAD + bernstein.size(s.degree) * s.components

@@ -206,7 +206,9 @@ def _march(
         v = y + dr.fma(data[5], xy, dr.fma(data[6], xw, data[7] * yw))
         return u, v
 
-    def advance(go, step, tau, u, v, sign, root, slope, normal2):
+    def advance(
+        go: Any, step: Any, tau: Any, u: Any, v: Any, sign: Any, root: Any, slope: Any, normal2: Any
+    ) -> Any:
         (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, n, u, v)
         idet = reciprocal(dr.fma(xu, yv, -xv * yu))
         rx, ry = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y
@@ -246,7 +248,19 @@ def _march(
         go = go & ~root & exists & (tau <= end) & (step < MAX_STEPS)
         return go, step, tau, u, v, sign, root, slope, dr.fma(zu, zu, dr.fma(zv, zv, 1.0))
 
-    def body(run, step, tau, u, v, sign, hit, best, best_u, best_v, best_closing):
+    def body(
+        run: Any,
+        step: Any,
+        tau: Any,
+        u: Any,
+        v: Any,
+        sign: Any,
+        hit: Any,
+        best: Any,
+        best_u: Any,
+        best_v: Any,
+        best_closing: Any,
+    ) -> Any:
         one = dr.full(ty.Float, 1.0)
         _go, step, tau, u, v, sign, root, slope, normal2 = dr.while_loop(
             (run, step, tau, u, v, sign, ty.Bool(False), one, one),

@@ -57,6 +57,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -256,7 +257,7 @@ def _bound(
     qy = a * x - b * x + d * (rest - y)
     ru, rv = zu - qx * xu - qy * yu, zv - qx * xv - qy * yv
 
-    def second(p2, x1, y1, x2, y2):
+    def second(p2: Any, x1: Any, y1: Any, x2: Any, y2: Any) -> Any:
         """Return a second partial of ``R = z - q(F)``."""
         bent = qxx * x1 * x2 + qxy * (x1 * y2 + y1 * x2) + qyy * y1 * y2
         return p2[2] - qx * p2[0] - qy * p2[1] - bent

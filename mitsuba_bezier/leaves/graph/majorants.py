@@ -7,13 +7,14 @@ number for each leaf; NaN where there is no bound.
 from __future__ import annotations
 
 from math import comb
+from typing import Any
 
 import numpy as np
 
 __all__ = ["form_norm", "norm2", "norm2_symmetric", "quotient", "second_of_variation", "square"]
 
 
-def _majorant(b1, b2, a11, a12, a21, a22):
+def _majorant(b1: Any, b2: Any, a11: Any, a12: Any, a21: Any, a22: Any) -> Any:
     """Return the largest `x` with ``x <= b + A x``, or NaN where there is none."""
     d1, d2 = 1 - a11, 1 - a22
     det = d1 * d2 - a12 * a21
@@ -21,7 +22,7 @@ def _majorant(b1, b2, a11, a12, a21, a22):
     return (d2 * b1 + a12 * b2) / det, (a21 * b1 + d1 * b2) / det
 
 
-def quotient(n3, n4, d, s0, s1, s2, c):
+def quotient(n3: Any, n4: Any, d: Any, s0: Any, s1: Any, s2: Any, c: Any) -> Any:
     """Bound the derivatives 0 to 4 of a quotient.
 
     Parameters
@@ -49,7 +50,7 @@ def quotient(n3, n4, d, s0, s1, s2, c):
     return s0 + c * f2, s1 + c * f3, f2, f3, f4
 
 
-def square(weight, most):
+def square(weight: Any, most: Any) -> Any:
     """Return what `quotient` wants of the denominator ``W^2``, from that of ``W`` and its bound."""
     least, w1, w2, w3, w4 = weight
     return (
@@ -61,7 +62,7 @@ def square(weight, most):
     )
 
 
-def second_of_variation(j, f, r3, r4, k, g, c):
+def second_of_variation(j: Any, f: Any, r3: Any, r4: Any, k: Any, g: Any, c: Any) -> Any:
     """Bound the second derivative of ``K`` along the parameters.
 
     Parameters
@@ -101,12 +102,12 @@ def form_norm(partials: np.ndarray, order: int) -> np.ndarray:
     return np.sqrt(np.tensordot(weights, square, axes=1).max(axis=0))
 
 
-def norm2(a, b, c, d):
+def norm2(a: Any, b: Any, c: Any, d: Any) -> Any:
     """Return the spectral norm of ``[[a, b], [c, d]]``."""
     f, det = a * a + b * b + c * c + d * d, a * d - b * c
     return np.sqrt((f + np.sqrt(np.maximum(f * f - 4 * det * det, 0.0))) / 2)
 
 
-def norm2_symmetric(a, b, c):
+def norm2_symmetric(a: Any, b: Any, c: Any) -> Any:
     """Return the spectral norm of ``[[a, b], [b, c]]``."""
     return np.abs(a + c) / 2 + np.hypot((a - c) / 2, b)

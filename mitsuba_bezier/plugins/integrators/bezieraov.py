@@ -168,7 +168,7 @@ def make_aov_class() -> type:
                 names += [f"{name}.{c}" if c else name for c in KINDS[kind][0] or [""]]
             return names
 
-        def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> tuple:
+        def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> tuple[Any, ...]:
             """Sample rays; their differentials are those of a sample, as in Mitsuba's `aov`."""
             ray, weight, position = super().sample_rays(scene, sensor, sampler)
             ray.scale_differential(sampler.sample_count() ** -0.5)
@@ -182,7 +182,7 @@ def make_aov_class() -> type:
             ray: Any,
             active: Any = True,
             **kwargs: Any,
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Evaluate along rays; see `ADIntegrator.sample` in Mitsuba for the interface."""
             active = mi.Bool(active)
             rays = SceneRays(scene)

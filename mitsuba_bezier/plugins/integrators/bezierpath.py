@@ -65,7 +65,7 @@ def make_path_class() -> type:
             state_in: Any = None,
             active: Any = True,
             **kwargs: Any,
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
             if mode == dr.ADMode.Primal:
                 L, valid = trace(self, scene, sampler, ray, active)

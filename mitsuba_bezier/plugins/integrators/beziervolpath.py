@@ -64,7 +64,7 @@ def make_volpath_class() -> type:
             super().__init__(props)
             self._sensor_medium: Any = None
 
-        def prepare(self, sensor: Any, *args: Any, **kwargs: Any) -> tuple:
+        def prepare(self, sensor: Any, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
             """Make sampler and film ready; remember in which medium the sensor is."""
             self._sensor_medium = sensor.get_medium()
             return super().prepare(sensor, *args, **kwargs)
@@ -79,7 +79,7 @@ def make_volpath_class() -> type:
             state_in: Any = None,
             active: Any = True,
             **kwargs: Any,
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
             if mode != dr.ADMode.Primal:
                 raise BezierError.expected(
@@ -137,7 +137,7 @@ def _trace(
         "sampler": sampler,
     }
 
-    def body(st: dict) -> tuple[dict]:
+    def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         ray, medium, sampler = mi.Ray3f(st["ray"]), st["medium"], st["sampler"]
         active, depth, throughput = st["active"], st["depth"], st["throughput"]
         collides = scatters = mi.Bool(False)

@@ -39,7 +39,7 @@ def make_depth_class() -> type:
 
         def sample(
             self, mode: Any, scene: Any, sampler: Any, ray: Any, active: Any = True, **kwargs: Any
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Return depths; see `ADIntegrator.sample` in Mitsuba for the interface."""
             hit = SceneRays(scene).preliminary(ray, True, mi.Bool(active))
             valid = hit.pi.is_valid()
@@ -103,7 +103,7 @@ def make_direct_class() -> type:
 
         def sample(
             self, mode: Any, scene: Any, sampler: Any, ray: Any, active: Any = True, **kwargs: Any
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Return radiances; see `ADIntegrator.sample` in Mitsuba for the interface."""
             if mode != dr.ADMode.Primal:
                 raise BezierError.expected(

@@ -95,7 +95,7 @@ def _importance(
         "sampler": sampler,
     }
 
-    def body(st: dict) -> tuple[dict]:
+    def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         st = dict(st)
         ray, sampler, active = st["ray"], st["sampler"], st["active"]
         hit = rays.preliminary(ray, False, active)

@@ -129,7 +129,7 @@ def transmittance(
         "sampler": sampler,
     }
 
-    def body(st: dict) -> tuple[dict]:
+    def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         ray, left, medium, sampler = mi.Ray3f(st["ray"]), st["left"], st["medium"], st["sampler"]
         active, through, short = st["active"], st["through"], st["short"]
         ray.maxt = left

@@ -29,7 +29,7 @@ def nested_integrators(props: mi.Properties) -> list[tuple[str, Any]]:
     return nested
 
 
-def sample_nested(nested: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple:
+def sample_nested(nested: Any, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, ...]:
     """Sample a nested integrator; return radiance, validity and its own channels."""
     if isinstance(nested, mi.CppADIntegrator):  # written in Python, with another signature
         value, valid, own, _state = nested.sample(
@@ -109,7 +109,7 @@ def make_moment_class() -> type:
 
         def sample(
             self, mode: Any, scene: Any, sampler: Any, ray: Any, active: Any = True, **kwargs: Any
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Evaluate along rays; see `ADIntegrator.sample` in Mitsuba for the interface."""
             channels: list[Any] = []
             L, valid = mi.Spectrum(0.0), mi.Bool(False)
@@ -166,14 +166,14 @@ def make_stokes_class() -> type:
             """Return the names of the channels beside the film's own."""
             return [f"S{k}.{c}" for k in range(4) for c in "RGB"] + self._nested.aov_names()
 
-        def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> tuple:
+        def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> tuple[Any, ...]:
             """Sample rays, and remember which way is up."""
             self._up = sensor.world_transform() @ mi.Vector3f(0, 1, 0)
             return super().sample_rays(scene, sensor, sampler)
 
         def sample(
             self, mode: Any, scene: Any, sampler: Any, ray: Any, active: Any = True, **kwargs: Any
-        ) -> tuple:
+        ) -> tuple[Any, ...]:
             """Evaluate along rays; see `ADIntegrator.sample` in Mitsuba for the interface."""
             value, seen, own = sample_nested(self._nested, scene, sampler, ray, mi.Bool(active))
             # from the frame that belongs to the ray to the sensor's

@@ -110,7 +110,7 @@ def _replay(
         "sampler": sampler,
     }
 
-    def body(st: dict) -> tuple[dict]:
+    def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         st = dict(st)
         ray, hit, sampler, active = st["ray"], st["hit"], st["sampler"], st["active"]
         throughput, prev = st["throughput"], st["prev_si"]

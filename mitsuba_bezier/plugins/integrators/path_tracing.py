@@ -30,7 +30,7 @@ def skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
     hit = rays.preliminary(ray, True, active)
     seen = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & active  # noqa: E711
 
-    def body(ray: Any, seen: Any) -> tuple:
+    def body(ray: Any, seen: Any) -> tuple[Any, ...]:
         hit = rays.preliminary(ray, True, seen)
         moved = spawn_ray(*rays.meet(hit, ray, mi.RayFlags.Minimal, seen), ray.d)
         ray.o = dr.select(seen, moved.o, ray.o)
@@ -94,7 +94,7 @@ def trace(
         "sampler": sampler,
     }
 
-    def body(st: dict) -> tuple[dict]:
+    def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         st = dict(st)
         ray, sampler, active = st["ray"], st["sampler"], st["active"]
         if start is None:

@@ -168,7 +168,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         "sampler": sampler,
     }
 
-    def body(st: dict) -> tuple[dict]:
+    def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         st = dict(st)
         ray, active = st["ray"], st["active"]
         splat.sampler = sampler = st["sampler"]

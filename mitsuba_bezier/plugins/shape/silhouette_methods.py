@@ -195,7 +195,7 @@ def primitive_silhouette_projection(
 
     near = tables.relative(viewpoint, patch, active)
 
-    def newton(k: Any, u: Any, v: Any) -> tuple:
+    def newton(k: Any, u: Any, v: Any) -> tuple[Any, ...]:
         h = tables.second(patch, u, v, active)
         f, fu, fv = facing(h, near)
         square = fu * fu + fv * fv
