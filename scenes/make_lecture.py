@@ -198,7 +198,7 @@ def shown(member: Member) -> tuple[BezierTriangles, np.ndarray]:
     elif member.name == "hyperboloid of one sheet":
         turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # the waist to the front
     matrix = turn @ member.matrix
-    box = member.base.transform(matrix).split().split().bounds()
+    box = member.base.transform(matrix).split().split().hulls()
     lo, hi = box[:, 0].min(axis=0), box[:, 1].max(axis=0)
     scale = min(1.4 / (hi[2] - lo[2]), 1.6 / (hi[0] - lo[0]))
     place = np.diag([scale, scale, scale, 1.0])

@@ -300,7 +300,7 @@ def test_integrators_by_their_own_names(folder, name):
         (["both.xml"], "neither"),
         (["twice.xml"], "Only one integrator can be specified"),
         (["aov.xml"], "aovs: expected a type among albedo, depth, position, uv, "),
-        (["misspelt.xml"], '"max_dept"'),
+        (["misspelt.xml"], "unknown parameter 'max_dept'; did you mean 'max_depth'?"),
     ],
 )
 def test_one_clear_line_before_rendering(folder, words, message, capsys, monkeypatch):
