@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
+from .native.originals import original
+
 __all__ = ["Connection", "own_error", "position_error", "spawn_ray", "spawn_ray_to"]
 
 #: A rounding of float32, half a unit of the last place.
@@ -85,7 +87,7 @@ def spawn_ray(si: Any, p_err: Any, d: Any) -> Any:
     -------
     mi.Ray3f
     """
-    ray = si.spawn_ray(d)
+    ray = original(si, "spawn_ray")(d)
     if p_err is not None:
         ray.o = _moved(si.p, si.n, p_err, d)
     return ray
@@ -120,7 +122,7 @@ def spawn_ray_to(si: Any, p_err: Any, p: Any, n: Any = None, end_err: Any = None
     -------
     Connection
     """
-    ray = si.spawn_ray_to(p)
+    ray = original(si, "spawn_ray_to")(p)
     if p_err is None:
         return Connection(ray, ray.maxt)
     o = _moved(si.p, si.n, p_err, p - si.p)

@@ -68,7 +68,10 @@ class SceneRays:
 
     def error_of(self, si: Any, active: Any = True) -> Any:
         """Return the error of the point of an interaction that somebody else has made."""
-        return None if self.data is None else self.data.error_of(dr.detach(si), active)
+        if self.data is None:
+            return None
+        ours = self.data.error_of(si, active)
+        return dr.select(ours > 0, ours, own_error(dr.detach(si.p)))
 
     def intersect(
         self, ray: Any, flags: Any = None, coherent: bool = False, active: Any = True

@@ -31,7 +31,7 @@ from .attached import attached_tables
 from .copies import CopyTables
 from .frozen import contents, is_bezier
 from .interaction import Met, PatchTables, Preliminary, meet
-from .offsets import own_error, position_error
+from .offsets import position_error
 from .projections import Projections
 from .surface_sampling import SurfaceSampling
 
@@ -215,10 +215,13 @@ class SceneData:
         return dr.select(ours, place + record.prim_index, 0), ours
 
     def error_of(self, si: Any, active: Any) -> Any:
-        """Return `Met.p_err` of an interaction, as far as that is known without its parameters."""
-        own = own_error(si.p)
+        """Return `Met.p_err` of an interaction as well as it is known without parameters.
+
+        0 where the point is not on a patch.
+        """
         if not isinstance(si, mi.SurfaceInteraction3f):
-            return own
+            return mi.Float(0.0)
+        si = dr.detach(si)
         patch, ours = self.patch_of(si, active)
         pu, pv = si.dp_du, si.dp_dv
         if self.tables.texcoords is not None:
@@ -226,7 +229,7 @@ class SceneData:
             pu, pv = pu * du.x + pv * du.y, pu * dv.x + pv * dv.y
         # an interaction without partials was made by hand
         known = ours & (dr.squared_norm(pu) + dr.squared_norm(pv) > 0)
-        return dr.select(known, position_error(si.p, si.n, pu, pv), own)
+        return dr.select(known, position_error(si.p, si.n, pu, pv), 0.0)
 
     def test(self, ray: Any, active: Any = True) -> Any:
         """Return whether a ray hits any patch before ``ray.maxt``."""

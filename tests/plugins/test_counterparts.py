@@ -155,7 +155,7 @@ def test_turned_off_nothing_is_seen():
 
 
 def test_an_unknown_integrator_is_an_error():
-    from mitsuba_bezier.plugins.native.names import counterparts
+    from mitsuba_bezier.plugins.native import counterparts
 
     scene = mi.load_dict({"type": "scene", "c": camera(8, 8), "b": bezier(mb.sphere())})
     path = mi.load_dict({"type": "path"})

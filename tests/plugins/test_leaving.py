@@ -41,8 +41,14 @@ def owners(scene: Any, names: str) -> list[Any]:
 
 def passes(scene: Any, ray: Any, order: str) -> np.ndarray:
     """Follow rays straight through; return which do not meet these shapes in this order."""
-    rays = SceneRays(scene)
     wrong = np.zeros(dr.width(ray.o), dtype=bool)
+    last = ray
+    for shape in owners(scene, order):  # as integrators of others do
+        si = scene.ray_intersect(last)
+        wrong |= numbers(dr.reinterpret_array(mi.UInt32, si.shape) != shape)
+        last = si.spawn_ray(last.d)
+    wrong |= numbers(scene.ray_test(last))
+    rays = SceneRays(scene)
     for shape in owners(scene, order):
         hit = rays.preliminary(ray)
         # by a shadow ray, too, which must end there
@@ -67,6 +73,34 @@ def test_shells(cover, offset, size):
     o, d = ball_rays(COUNT, seed=1, target=0.95)
     ray = ray_of(o * size + offset * np.array([1, -1, 1]), d)
     assert passes(scene, ray, "baab").sum() == 0
+
+
+@pytest.mark.parametrize("kind", ["copies", "texcoords", "uv", "mixed", "flipped"])
+def test_shells_of_every_kind(kind):
+    ball = mb.sphere(cover="octants")
+    outer = mi.ScalarTransform4f().scale([1 + GAP] * 3)
+    more: dict[str, Any] = {}
+    if kind == "copies":
+        maps = np.tile(np.eye(4), (2, 1, 1))
+        maps[1, :3, 3] = 1e4, 0, 0  # where these rays do not come
+        more = {"copies": mi.TensorXf(maps.astype(np.float32).ravel(), shape=maps.shape)}
+    elif kind == "texcoords":  # coordinates that tell nothing of the patch's size
+        corners = np.array([[1e4, 0], [0, 1e4], [0, 0]], dtype=np.float32)
+        corners = np.tile(corners, (len(ball), 1, 1))
+        more = {"texcoords": mi.TensorXf(corners.ravel(), shape=corners.shape)}
+    elif kind == "uv":
+        more = {"uv": "spherical"}
+    elif kind == "flipped":
+        more = {"flip_normals": True}
+    scene = {
+        "type": "scene",
+        "a": bezier(ball, **more),
+        "b": bezier(ball, to_world=outer, **more),
+    }
+    if kind == "mixed":
+        scene["other"] = {"type": "sphere", "center": [1e4, 0, 0]}
+    o, d = ball_rays(COUNT, seed=1, target=0.95)
+    assert passes(mi.load_dict(scene), ray_of(o, d), "baab").sum() == 0
 
 
 @pytest.mark.parametrize(("offset", "size"), PLACES)
@@ -219,6 +253,10 @@ def test_mitsubas_own_shapes_keep_their_offset():
     away = mi.Vector3f(*np.roll(d, 1, axis=0).T.copy())
     ours, theirs = spawn_ray(si, p_err, away), si.spawn_ray(away)
     assert (numbers(ours.o) == numbers(theirs.o)).all()
+    assert (numbers(ours.d) == numbers(theirs.d)).all()
+    with mb.native(False):
+        plain = si.spawn_ray(away)
+    assert (numbers(plain.o) == numbers(theirs.o)).all()
     target = mi.Point3f(0, 5, 0)
     ours, theirs = spawn_ray_to(si, p_err, target).ray, si.spawn_ray_to(target)
     assert np.abs(numbers(ours.o) - numbers(theirs.o)).max() == 0

@@ -3,7 +3,8 @@
 Code that nobody here wrote calls `scene.ray_intersect` and its kin. Once a Bézier shape exists in a
 variant, these methods of `mi.Scene`, and `PreliminaryIntersection3f.compute_surface_interaction`,
 are replaced by methods that answer exactly for scenes with Bézier shapes and hand all other scenes
-to Mitsuba's own. What stays C++ from end to end, as the integrator `path`, is not reached in this
+to Mitsuba's own. So are `spawn_ray` and `spawn_ray_to` of interactions: rays leave patches as
+`offsets` has it. What stays C++ from end to end, as the integrator `path`, is not reached in this
 way: `counterparts` takes care of it.
 """
 
@@ -18,7 +19,7 @@ import mitsuba as mi
 
 from ..integrators.emitters import EmitterSampling
 from ..interaction import Preliminary
-from ..offsets import spawn_ray_to
+from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from ..scene_data import SceneData, data_for_scene, known_data
 from .originals import original, replace
@@ -68,6 +69,8 @@ def install() -> None:
     for name, method in _SCENE.items():
         replace(mi.Scene, name, method)
     replace(mi.PreliminaryIntersection3f, "compute_surface_interaction", _interaction)
+    replace(mi.SurfaceInteraction3f, "spawn_ray", _spawn_ray)
+    replace(mi.SurfaceInteraction3f, "spawn_ray_to", _spawn_ray_to)
     if not hasattr(mi.render, "prepares"):
         mi.render = _preparing(mi.render)
 
@@ -220,6 +223,44 @@ _SCENE: dict[str, Callable[..., Any]] = {
 }
 
 
+def _structures() -> list[SceneData]:
+    """Return structures that hold all shapes that are known, each as few times as can be."""
+    structures = known_data() if _on else []
+    # within a render that tracks derivatives, it is the scene's that is rendered
+    structures = [data for data in structures if data.attached is not None] or structures
+    covered: set[int] = set()
+    kept = []
+    for data in structures:
+        versions = {shape.version for shape in data.shapes}
+        if not versions <= covered:
+            kept.append(data)
+            covered |= versions
+    return kept
+
+
+def _error_of(si: Any) -> Any:
+    """Return the error of a point on a patch, 0 on other shapes, None if there are no patches."""
+    p_err = None
+    for data in _structures():
+        error = data.error_of(si, True)
+        p_err = error if p_err is None else dr.select(error > 0, error, p_err)
+    return p_err
+
+
+def _spawn_ray(self: Any, d: Any) -> Any:
+    theirs, p_err = original(self, "spawn_ray")(d), _error_of(self)
+    if p_err is None:
+        return theirs
+    return dr.select(p_err > 0, spawn_ray(self, p_err, mi.Vector3f(d)), theirs)
+
+
+def _spawn_ray_to(self: Any, t: Any) -> Any:
+    theirs, p_err = original(self, "spawn_ray_to")(t), _error_of(self)
+    if p_err is None:
+        return theirs
+    return dr.select(p_err > 0, spawn_ray_to(self, p_err, mi.Point3f(t)).ray, theirs)
+
+
 def _interaction(self: Any, ray: Any, ray_flags: Any = None, active: Any = True) -> Any:
     """Return the interaction of a preliminary hit, on whatever shape of whatever scene.
 
@@ -229,21 +270,15 @@ def _interaction(self: Any, ray: Any, ray_flags: Any = None, active: Any = True)
     flags = mi.RayFlags.All if ray_flags is None else ray_flags
     active = mi.Bool(active)
     own = original(self, "compute_surface_interaction")
-    structures = known_data() if _on else []
-    # within a render that tracks derivatives, it is the scene's that is rendered
-    structures = [data for data in structures if data.attached is not None] or structures
+    structures = _structures()
     if not structures:
         return own(ray, flags, active)
     left = active
     found = []
-    covered: set[int] = set()
     for data in structures:
-        if all(shape.version in covered for shape in data.shapes):
-            continue
         hit = _preliminary(data, self, left)
         found.append((hit.bezier, data.surface_interaction(hit, ray, flags, left)))
         left = left & ~hit.bezier
-        covered |= {shape.version for shape in data.shapes}
     si = own(ray, flags, left)
     for mask, ours in found:
         si = dr.select(mask, ours, si)
