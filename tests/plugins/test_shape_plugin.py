@@ -514,3 +514,13 @@ def test_gradients_may_be_enabled_on_parameters():
     dr.enable_grad(params["control_points"])
     params.update()  # nothing of the primal code may stumble over it
     assert dr.grad_enabled(params["control_points"])
+
+
+def test_the_interface_of_meshes_is_used_in_one_module():
+    # Mitsuba 3.10 changes it: docs/mitsuba-3.10.md
+    used = r"mi\.Mesh\b(?!`)|\"vertex_positions\"|\"vertex_texcoords\"|\"faces\"|face_bezier"
+    root = Path(mb.__file__).parent
+    names = {
+        p.name for p in (root / "plugins").rglob("*.py") if re.search(used, p.read_text("utf-8"))
+    }
+    assert names == {"mesh_base.py"}

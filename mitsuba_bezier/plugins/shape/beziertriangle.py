@@ -22,12 +22,12 @@ from ..native.sensors import watch
 from ..projections import read_projection
 from ..surface_sampling import direction_sample
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
+from .mesh_base import make_mesh_base
 from .parameters import read_affine, read_patches, read_tables
 from .silhouette_methods import METHODS
 
 __all__ = ["make_shape_class"]
 
-_INF = np.float32(np.inf)
 #: Powers of two, either way, up to which factors of nets do no harm in float32: what is computed of
 #: them has products of three.
 _MODERATE = 24
@@ -49,7 +49,9 @@ def make_shape_class() -> type:
     """Return the class for the variant that is set now."""
     attribute_class = make_attribute_class()
 
-    class BezierTriangle(mi.Mesh):
+    base = make_mesh_base()
+
+    class BezierTriangle(base):  # type: ignore[misc, valid-type]
         r"""
         .. _shape-beziertriangle:
 
@@ -137,9 +139,7 @@ def make_shape_class() -> type:
             for key in ("control_points", "filename", "to_world", "flip_normals", "texcoords"):
                 if key in props:
                     del props[key]
-            self._plain_mesh = True
             super().__init__(props)
-            self._plain_mesh = False
             emitter = self.emitter()
             if emitter is not None and not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
                 raise BezierError.expected(
@@ -170,9 +170,7 @@ def make_shape_class() -> type:
             self.serial = next(_versions)
             #: Degree elevations on the device, by their degrees; see `attached`.
             self.elevations: dict[str, Any] = {}
-            # A mesh attribute keeps Mitsuba's loader from merging shapes that share a BSDF
-            # into one plain mesh.
-            super().add_attribute("face_bezier", 1, [0.0])
+            self._keep_apart()
             self._commit(patches, self._object_to_world)
             for name, ordinates in attributes.items():
                 self._add(name, ordinates)
@@ -234,33 +232,9 @@ def make_shape_class() -> type:
                     "control_points", "a surface, for it carries an emitter", "points or curves"
                 )
 
-        def _set_box(self, box: np.ndarray) -> None:
-            """Give the mesh base class the corners of the box, so that the scene's is right.
-
-            All faces are degenerate: Embree and OptiX never hit them. Texture coordinates are set
-            since without them a textured emitter is an error as soon as Dr.Jit records a call of
-            any emitter, even one that is masked.
-            """
-            rounded = box.astype(np.float32)  # outwards: the surface is inside
-            rounded[0] = np.where(rounded[0] > box[0], np.nextafter(rounded[0], -_INF), rounded[0])
-            rounded[1] = np.where(rounded[1] < box[1], np.nextafter(rounded[1], _INF), rounded[1])
-            corners = np.stack(np.meshgrid(*rounded.T, indexing="ij"), axis=-1).reshape(-1, 3)
-            self._plain_mesh = True
-            try:
-                params = mi.traverse(self)
-                params["vertex_positions"] = mi.Float(corners.ravel())
-                params["vertex_texcoords"] = mi.Float([0.0] * 16)
-                params["faces"] = mi.UInt32([0, 0, 0])
-                params.update()
-            finally:
-                self._plain_mesh = False
-
         # ------------------------------------------------------------ mi.Object
 
-        def traverse(self, cb: Any) -> None:
-            if self._plain_mesh:
-                super().traverse(cb)
-                return
+        def _traverse(self, cb: Any) -> None:
             edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
             cb.put("control_points", self.control_points, edges)
             cb.put("to_world", self.to_world, edges)
@@ -277,10 +251,7 @@ def make_shape_class() -> type:
                 if child is not None:
                     cb.put(name, child, mi.ParamFlags.Differentiable)
 
-        def parameters_changed(self, keys: Any = ()) -> None:
-            if self._plain_mesh:
-                super().parameters_changed(keys)
-                return
+        def _changed(self, keys: Any) -> None:
             own = {"control_points", "to_world", "texcoords"}
             if keys and not (own | set(self._attributes)) & set(keys):
                 return
