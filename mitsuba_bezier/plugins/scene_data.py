@@ -60,6 +60,8 @@ class SceneData:
         self.attached: PatchTables | None = None
         #: Whether `scene_methods.prepare` was here
         self.prepared = False
+        #: Whether others than our integrators have preliminary hits of it
+        self.handed_out = False
         self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
         self._open_edges: Any = None
         self._kept: dict[tuple[str, bytes], Any] = {}
@@ -118,6 +120,12 @@ class SceneData:
     def shapes(self) -> list[Any]:
         """The shapes of the structure, those that still exist."""
         return [shape for shape in (reference() for reference in self._shapes) if shape is not None]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of leaves and nets, nearly all there is."""
+        nets = dr.width(self.tables.nets) * dr.itemsize_v(self.tables.nets)
+        return int(nets) + sum(s.bytes for s in (self.structure, self.copies) if s is not None)
 
     @property
     def is_alive(self) -> bool:
@@ -380,7 +388,9 @@ def _texcoords(shapes: list[Any]) -> Any:
 # ---------------------------------------------------------------------- cache
 
 _cache: OrderedDict[tuple[Any, ...], SceneData] = OrderedDict()
-_CACHE_SIZE = 8
+#: Structures of shapes that are alive are kept, so that scenes can be rendered in turn, as long as
+#: they are few or take less than so many bytes.
+_FEW, _CACHE_BYTES = 8, 2**30
 
 
 def _cached(key: tuple[Any, ...], make: Any) -> SceneData:
@@ -396,8 +406,9 @@ def _cached(key: tuple[Any, ...], make: Any) -> SceneData:
     _forget()
     data = make()
     _cache[key] = data
-    while len(_cache) > _CACHE_SIZE:
-        _cache.popitem(last=False)
+    total = sum(kept.bytes for kept in _cache.values()) if len(_cache) > _FEW else 0
+    while len(_cache) > _FEW and total > _CACHE_BYTES:
+        total -= _cache.popitem(last=False)[1].bytes
     return data
 
 
@@ -414,10 +425,12 @@ def clear_cache() -> None:
 
 
 def known_data() -> list[SceneData]:
-    """Return the structures of the variant that is set, the one used last first."""
+    """Return the structures that a preliminary hit may be of, the one used last first."""
     _forget()
     variant = mi.variant()
-    return [data for key, data in reversed(_cache.items()) if key[0] == variant]
+    known = [data for key, data in reversed(_cache.items()) if key[0] == variant]
+    # each is code in the kernels of those who ask; without any, the records are made by hand
+    return [data for data in known if data.handed_out] or known
 
 
 def data_for_shapes(shapes: list[Any]) -> SceneData:

@@ -250,6 +250,29 @@ def test_preliminary_hits_of_several_scenes_at_once():
         assert (np.array(si.p) == np.array(want.p)).all()
 
 
+def test_many_scenes_alive(monkeypatch):
+    from mitsuba_bezier.plugins import scene_data
+
+    radii = np.linspace(0.3, 1.0, 12)  # more than a few
+    scenes = [mi.load_dict({"type": "scene", "b": bezier(mb.sphere(radius=r))}) for r in radii]
+    ray = mi.Ray3f([0, 0, -4], [0, 0, 1])
+    found = [scene.ray_intersect_preliminary(ray) for scene in scenes]
+    built = []
+    make = scene_data.SceneData.__init__
+    monkeypatch.setattr(
+        scene_data.SceneData, "__init__", lambda *args: built.append(1) or make(*args)
+    )
+    for scene, pi, radius in zip(scenes, found, radii):
+        t = pi.compute_surface_interaction(ray).t
+        assert float(t[0]) == pytest.approx(4 - radius, abs=2e-6)
+        assert scene.ray_test(ray)[0]
+    assert not built  # scenes in turn are not built again and again
+    # beyond so much memory only a few are kept
+    monkeypatch.setattr(scene_data, "_CACHE_BYTES", 1)
+    mi.load_dict(bezier(mb.sphere())).ray_test(ray)
+    assert len(scene_data.known_data()) <= 8
+
+
 def test_a_preliminary_hit_outlives_its_scene():
     shape = mi.load_dict(bezier(mb.sphere()))
     scene = mi.load_dict({"type": "scene", "s": shape})

@@ -207,7 +207,8 @@ def _skip_area_emitters(
     if not scene_methods.is_on() or data_for_scene(scene) is None:
         return original(self, "skip_area_emitters")(scene, ray, coherent, active)
     rays = SceneRays(scene)
-    return rays.preliminary(skip_emitters(rays, ray, mi.Bool(active)), True, active).pi
+    hit = rays.preliminary(skip_emitters(rays, ray, mi.Bool(active)), True, active)
+    return scene_methods.handed_out(rays, hit)
 
 
 # ---------------------------------------------------------------------- in Python

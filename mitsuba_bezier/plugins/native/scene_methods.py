@@ -24,7 +24,7 @@ from ..scene import SceneRays
 from ..scene_data import SceneData, data_for_scene, known_data
 from .originals import original, replace
 
-__all__ = ["install", "is_on", "native", "prepare"]
+__all__ = ["handed_out", "install", "is_on", "native", "prepare"]
 
 _on = True
 
@@ -109,6 +109,13 @@ def prepare(scene: Any) -> bool:
     return True
 
 
+def handed_out(rays: SceneRays, hit: Preliminary) -> Any:
+    """Return the record of a hit for others, who may ask for its interaction at any time."""
+    if rays.data is not None:
+        rays.data.handed_out = True
+    return hit.pi
+
+
 def _flag(coherent: Any) -> bool:
     # Mitsuba takes a mask; ours decides for all rays of a call
     return coherent if isinstance(coherent, bool) else False
@@ -157,7 +164,7 @@ def _ray_intersect_preliminary(
         return original(self, "ray_intersect_preliminary")(ray, coherent, *rest, **hints)
     if active is None:
         active = rest[-1] if len(rest) in (1, 4) else True
-    return rays.preliminary(ray, _flag(coherent), active).pi
+    return handed_out(rays, rays.preliminary(ray, _flag(coherent), active))
 
 
 def _ray_test(self: Any, ray: Any, *rest: Any, active: Any = None, **hints: Any) -> Any:

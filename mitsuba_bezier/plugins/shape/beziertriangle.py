@@ -466,7 +466,9 @@ def make_shape_class() -> type:
 
         def ray_intersect_preliminary(self, ray: Any, active: Any = True) -> Any:
             """Return the nearest hit as `mi.PreliminaryIntersection3f`."""
-            return self._alone().preliminary(ray, active).pi
+            data = self._alone()
+            data.handed_out = True
+            return data.preliminary(ray, active).pi
 
         def ray_intersect(self, ray: Any, flags: Any = None, active: Any = True) -> Any:
             """Return the nearest hit as `mi.SurfaceInteraction3f`."""
