@@ -59,6 +59,7 @@ PICTURES = (
     Picture("quadrics", "quadrics", 576, 324, 512, "All quadrics and a torus, on one floor"),
     Picture("sphere", "sphere", 480, 320, 512, "Both covers of the sphere, in glass and in metal"),
     Picture("cornell", "cornell", 320, 320, 1024, "Glass ball and torus in a Cornell box"),
+    Picture("caustic", "caustic", 512, 320, 768, "Caustics of ring, torus, lens, ball: `ptracer`"),
     Picture("media", "media", 384, 240, 256, "Jade, fog and coloured glass: media in patches"),
     # models of other programs: a CAD part, a mesh of high order
     # the lecture

@@ -20,7 +20,7 @@ NAMES = sorted(file.stem for file in SCENES.glob("*.xml"))
 
 #: Share of pixels that must pass the Z-test, where it is not Mitsuba's 0.9975: the light that glass
 #: and metal gather comes in rare bright samples, which are far from normal.
-SHARES = {"cornell": 0.98, "media": 0.99, "quadrics": 0.99, "sphere": 0.99}
+SHARES = {"caustic": 0.98, "cornell": 0.98, "media": 0.99, "quadrics": 0.99, "sphere": 0.99}
 
 
 @pytest.mark.parametrize("name", NAMES)

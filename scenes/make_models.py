@@ -35,6 +35,7 @@ def models() -> dict[str, BezierTriangles]:
         ),
         "cone": shapes.cone((0, 0, 0), (0.52, 0.52), 1.35, capped=True),
         "cylinder": shapes.cylinder(capped=True),
+        "band": shapes.cylinder(),
         "torus": shapes.torus((0, 0, 0.2), 0.52, 0.2),
         "sweep": sweep(front=-14, back=10, bend=5, height=16, width=50),
     }
