@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from subprocess import CompletedProcess
 
 import pytest
@@ -13,6 +15,36 @@ import mitsuba_bezier  # before anything imports Dr.Jit
 # the same examples on every run; no deadline, since the first call of a kernel compiles it
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.load_profile("fixed")
+
+
+#: Tiers by folder; a test of these folders that needs Dr.Jit or Mitsuba is of the tier `kernel`.
+TIERS = {
+    "geometry": "unit",
+    "oracles": "unit",
+    "leaves": "unit",
+    "io": "files",
+    "kernels": "kernel",
+    "plugins": "render",
+    "verification": "files",
+    "cli": "render",
+    "project": "project",
+}
+_NEEDS = re.compile(
+    r"^\s*(from|import) (drjit|mitsuba\b|(leaf|mitsuba|render|derivative|lecture)_cases)", re.M
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark each test with its tier: ``pytest -m unit``."""
+    known: dict[Path, str] = {}
+    for item in items:
+        path = item.path
+        if path not in known:
+            tier = TIERS.get(path.parent.name, "project")
+            if tier == "unit" and _NEEDS.search(path.read_text(encoding="utf-8")):
+                tier = "kernel"
+            known[path] = tier
+        item.add_marker(known[path])
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import drjit as dr
@@ -15,7 +16,7 @@ from ..scene import SceneRays
 from .emitters import EmitterSampling
 from .path_tracing import mis_weight, skip_emitters
 
-__all__ = ["replay"]
+__all__ = ["MissingDerivative", "replay"]
 
 
 def _area_per_solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
@@ -23,6 +24,31 @@ def _area_per_solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
     d = p - o
     square = dr.squared_norm(dr.select(active, d, 1.0))
     return dr.select(active, dr.abs_dot(n, d) / (square * dr.sqrt(square)), 1.0)
+
+
+class MissingDerivative(UserWarning):
+    """Derivatives leave out something that the scene has."""
+
+
+_warned: set[str] = set()
+
+
+def _warn_of_mirrors(scene: Any) -> None:
+    """Say once that directions are sampled without derivatives, where it matters most."""
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        if bsdf is None or not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta):
+            continue
+        name = bsdf.class_name()
+        if name not in _warned:
+            _warned.add(name)
+            warnings.warn(
+                "bezierpath: derivatives of what is seen in ideal mirrors and through smooth glass "
+                f"are wrong where a surface there moves, as on {name} here: reflected and "
+                "refracted directions have none (docs/inverse.md)",
+                MissingDerivative,
+                stacklevel=2,
+            )
 
 
 def replay(
@@ -65,6 +91,7 @@ def replay(
             "bezierpath", "a variant without polarization for derivatives", mi.variant()
         )
     rays = SceneRays(scene)
+    _warn_of_mirrors(scene)
     with rays.attach(mode):
         return _replay(integrator, rays, mode, sampler, ray, δL, state_in, active)
 
