@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import BezierError
+from ..errors import BezierError, VariantError
 from ..geometry.contours import open_edges
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
@@ -35,7 +35,14 @@ from .offsets import position_error
 from .projections import Projections
 from .surface_sampling import SurfaceSampling
 
-__all__ = ["NO_PATCH", "SceneData", "data_for_scene", "data_for_shapes", "known_data"]
+__all__ = [
+    "NO_PATCH",
+    "SceneData",
+    "check_variant",
+    "data_for_scene",
+    "data_for_shapes",
+    "known_data",
+]
 
 
 #: In place of the number of a patch where there is none.
@@ -433,8 +440,25 @@ def known_data() -> list[SceneData]:
     return [data for data in known if data.handed_out] or known
 
 
+def check_variant(shapes: list[Any]) -> None:
+    """Refuse shapes of another variant than the one that is set.
+
+    Raises
+    ------
+    VariantError
+    """
+    for shape in shapes:
+        if shape.variant != mi.variant():
+            raise VariantError.expected(
+                "variant",
+                f"{shape.variant}, in which the shapes were loaded (set it, or load them again)",
+                mi.variant(),
+            )
+
+
 def data_for_shapes(shapes: list[Any]) -> SceneData:
     """Return the structure of a list of shapes, built once for their present state."""
+    check_variant(shapes)
     key = (mi.variant(), *(s.version for s in shapes))
     return _cached(key, lambda: SceneData(shapes, list(range(len(shapes)))))
 
@@ -446,6 +470,7 @@ def data_for_scene(scene: Any) -> SceneData | None:
     if not indices:
         return None
     shapes = [every[i] for i in indices]
+    check_variant(shapes)
     # the scene's address would not do: a later scene may get it again
     key = (mi.variant(), len(every) > len(shapes), *(s.version for s in shapes))
     return _cached(key, lambda: SceneData(shapes, indices, scene))

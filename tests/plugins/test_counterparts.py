@@ -154,12 +154,44 @@ def test_turned_off_nothing_is_seen():
     mb.native(True)
 
 
+@pytest.mark.parametrize("other", ["llvm_ad_mono", "scalar_rgb"])
+def test_a_variant_changed_under_a_live_scene(other):
+    path = {"type": "path", "max_depth": 3}
+    sphere = bezier(mb.sphere())
+    sky = {"type": "constant"}
+    make = {"type": "scene", "c": camera(8, 8), "b": sphere, "sky": sky, "path": path}
+    scene = mi.load_dict(make)
+    shape, integrator = scene.shapes()[0], scene.integrator()
+    before = np.array(mi.render(scene, spp=4))
+    ray = mi.Ray3f([0, 0, -4], [0, 0, 1])
+    said = f"variant: expected llvm_ad_rgb, in which the shapes were loaded .*, got {other}"
+    try:
+        mi.set_variant(other)
+        with pytest.raises(mb.VariantError, match=said):
+            mi.render(scene, spp=4)
+        for ask in (
+            lambda: integrator.render(scene, spp=4),
+            lambda: scene.ray_test(ray),
+            lambda: shape.ray_test(ray),
+            lambda: mb.ray_test(scene, ray),
+        ):
+            with pytest.raises(mb.VariantError):
+                ask()
+        native = mi.load_dict({**make, "b": {"type": "sphere"}})
+        assert np.array(mi.render(native, spp=1)).max() > 0
+    finally:
+        mi.set_variant("llvm_ad_rgb")
+    assert (np.array(mi.render(scene, spp=4)) == before).all()  # and all is as it was
+
+
 def test_an_unknown_integrator_is_an_error():
     from mitsuba_bezier.plugins.native import counterparts
 
     scene = mi.load_dict({"type": "scene", "c": camera(8, 8), "b": bezier(mb.sphere())})
     path = mi.load_dict({"type": "path"})
-    del counterparts._made[path.ptr]  # as if it had been made before the package was imported
+    del counterparts._made[
+        mi.variant(), path.ptr
+    ]  # as if it had been made before the package was imported
     with pytest.raises(BezierError, match=r"sees Bézier shapes: path, .* got PathIntegrator"):
         path.render(scene)
 

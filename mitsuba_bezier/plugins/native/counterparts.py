@@ -69,14 +69,13 @@ class _Made:
 
 
 # by address; a later object at the same address is one of ours again, and replaces the entry
-_made: dict[int, _Made] = {}
+_made: dict[tuple[str, int], _Made] = {}
 _counterparts: dict[int, tuple[_Made | None, Any]] = {}
 _told: set[str] = set()
 
 
 def register() -> None:
     """Take the names of Mitsuba's integrators, in the variant that is set."""
-    _made.clear()
     _counterparts.clear()
     for name in COUNTERPARTS:
         take_name("integrator", name, partial(_make, name))
@@ -87,7 +86,7 @@ def _make(name: str, props: Any, own: Callable[[Any], Any]) -> Any:
     parameters = {}
     if not props.unqueried():  # else it is refused, which reading them would prevent
         parameters = {key: props[key] for key in props.keys()}  # noqa: SIM118 (no dict)
-    _made[made.ptr] = _Made(name, made.class_name(), parameters)
+    _made[str(mi.variant()), made.ptr] = _Made(name, made.class_name(), parameters)
     return made
 
 
@@ -138,7 +137,7 @@ def _seeing(integrator: Any) -> Any:
 
 
 def _of_native(integrator: Any) -> Any:
-    made = _made.get(integrator.ptr)
+    made = _made.get((str(mi.variant()), integrator.ptr))
     kind = integrator.class_name()
     if made is None or made.class_name != kind:
         known = ", ".join(COUNTERPARTS)

@@ -17,14 +17,15 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..frozen import is_bezier
 from ..integrators.emitters import EmitterSampling
 from ..interaction import Preliminary
 from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
-from ..scene_data import SceneData, data_for_scene, known_data
+from ..scene_data import SceneData, check_variant, data_for_scene, known_data
 from .originals import original, replace
 
-__all__ = ["handed_out", "install", "is_on", "native", "prepare"]
+__all__ = ["handed_out", "install", "is_on", "native", "prepare", "watch_renders"]
 
 _on = True
 
@@ -71,6 +72,10 @@ def install() -> None:
     replace(mi.PreliminaryIntersection3f, "compute_surface_interaction", _interaction)
     replace(mi.SurfaceInteraction3f, "spawn_ray", _spawn_ray)
     replace(mi.SurfaceInteraction3f, "spawn_ray_to", _spawn_ray_to)
+
+
+def watch_renders() -> None:
+    """Let `mi.render` prepare scenes with Bézier shapes, and refuse those of another variant."""
     if not hasattr(mi.render, "prepares"):
         mi.render = _preparing(mi.render)
 
@@ -82,6 +87,8 @@ def _preparing(render: Any) -> Any:
     def prepared(scene: Any, *args: Any, **kwargs: Any) -> Any:
         if _on and isinstance(scene, mi.Scene):
             prepare(scene)
+        elif type(scene).__name__ == "Scene":  # of another variant
+            check_variant([shape for shape in scene.shapes() if is_bezier(shape)])
         return render(scene, *args, **kwargs)
 
     prepared.prepares = True  # type: ignore[attr-defined]

@@ -168,6 +168,8 @@ def make_shape_class() -> type:
             self.kept_leaves: tuple[BezierTriangles, Any] | None = None
             self._state = _State()
             self.serial = next(_versions)
+            #: The variant in which it can be used.
+            self.variant = mi.variant()
             #: Degree elevations on the device, by their degrees; see `attached`.
             self.elevations: dict[str, Any] = {}
             self._keep_apart()
