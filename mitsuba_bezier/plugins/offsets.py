@@ -58,7 +58,8 @@ def position_error(p: Any, n: Any, pu: Any, pv: Any, height: Any = None) -> Any:
     off = size * (_OFF_QUADRIC * _ROUNDING)
     if height is not None:
         off = dr.select(height < off, height, off)
-    return dr.fma(size, _LEAST, error + off)
+    # where a patch runs to infinity, its partials grow as the square of the distance
+    return dr.minimum(dr.fma(size, _LEAST, error + off), own_error(p))
 
 
 def own_error(p: Any) -> Any:

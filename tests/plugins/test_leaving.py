@@ -217,6 +217,26 @@ def test_no_ray_meets_again_what_it_leaves(body, offset, size):
     assert not (met & np.isfinite(t)).any()
 
 
+def test_far_points_of_a_plane_are_left_by_no_more_than_mitsubas_offset():
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    net = np.array(mb.plane().control_points)
+    net[..., :3] = net[..., :3] @ turn.T
+    scene = mi.load_dict({"type": "scene", "plane": bezier(net)})
+    rng = np.random.default_rng(6)
+    across = np.column_stack([10 ** rng.uniform(0, 5, (COUNT, 2)), np.zeros(COUNT)]) @ turn.T
+    ray = ray_of(turn[:, 2] * 10.0, across - turn[:, 2] * 10.0)
+    rays = SceneRays(scene)
+    si, p_err = rays.meet(rays.preliminary(ray), ray)
+    met = numbers(si.is_valid())
+    assert met.all()
+    assert (numbers(p_err) <= numbers(own_error(si.p))).all()
+    for side in (1, -1):
+        # steeply: the net's patches, rounded to float32, make a plane only to 1e-7 of its slope
+        d = side * numbers(si.n) + rng.uniform(-0.5, 0.5, (COUNT, 3))
+        d = mi.Vector3f(*np.float32(d).T.copy())
+        assert not numbers(rays.test(spawn_ray(si, p_err, d))).any()
+
+
 def test_planes_through_zero_are_left():
     # where all coordinates along the normal are zero, so are their roundings
     triangle = [[[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 0, 1]]]
