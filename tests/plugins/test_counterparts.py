@@ -501,3 +501,11 @@ def test_shape_of_a_file(tmp_path):
     mb.save(mb.sphere(), tmp_path / "ball.vtu")
     scene = mi.load_dict({"type": "scene", "s": mb.shape(tmp_path / "ball.vtu")})
     assert scene.ray_test(mi.Ray3f([0, 0, -4], [0, 0, 1]))[0]
+
+
+def test_three_patches_are_no_point(capfd):
+    net = mb.sphere().control_points[:3]
+    for value in (net, mb.BezierTriangles(net), net.tolist()):
+        shape = mi.load_dict(mb.shape(value))
+        assert (shape.patches.control_points == net).all()
+    assert "implicit conversion" not in capfd.readouterr().err

@@ -60,7 +60,9 @@ def _tensor(key: str, value: Any) -> Any:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise NetError.expected(key, "an array of numbers", repr(value)[:80]) from None
-    return mi.TensorXd(array.ravel(), shape=array.shape)
+    # Mitsuba takes three of anything for a point first, and complains on standard error
+    three = key == "control_points" and array.ndim == 3 and len(array) == 3
+    return mi.TensorXd(array.ravel(), shape=(1, *array.shape) if three else array.shape)
 
 
 def _has_ours(scene: Any) -> bool:

@@ -72,7 +72,10 @@ def read_patches(props: mi.Properties) -> tuple[BezierTriangles, Trims | None]:
         tensor = props["control_points"]
         if not hasattr(tensor, "shape"):
             raise NetError.expected("control_points", "a tensor of shape (P, K, 4)", repr(tensor))
-        return BezierTriangles(np.array(tensor, dtype=np.float64).reshape(tensor.shape)), None
+        net = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
+        if net.ndim == 4 and net.shape[:2] == (1, 3):  # as `native.dictionaries` passes three
+            net = net[0]
+        return BezierTriangles(net), None
     from ...io import load_trimmed
 
     name = props["filename"]
