@@ -166,8 +166,12 @@ def transmittance(
         passed = si.bsdf(ray).eval_null_transmission(si, surface)
         passed = si.to_world_mueller(passed, si.wi, si.wi)
         through = dr.select(surface, through * passed, through)
-        ray = dr.select(surface, spawn_ray(si, p_err, ray.d), ray)
-        left = dr.select(surface, left - distance, left)
+        onward = spawn_ray(si, p_err, ray.d)
+        # The end stays where it is: what is left shrinks by the way of the origin and its error,
+        # or a lamp would stand before its own points.
+        way = distance if p_err is None else dr.dot(onward.o - ray.o, ray.d) + p_err
+        left = dr.select(surface, left - way, left)
+        ray = dr.select(surface, onward, ray)
         crosses = surface & si.is_medium_transition()
         medium = dr.select(crosses, si.target_medium(ray.d), medium)
         lit = dr.max(mi.unpolarized_spectrum(through)) != 0.0
