@@ -25,7 +25,8 @@ import json, resource, sys, time
 from pathlib import Path
 from mitsuba_bezier.cli import info, main
 from mitsuba_bezier.errors import BezierError
-from mitsuba_bezier.io import bezierview, geomview, gmsh, load, obj, vtu
+from mitsuba_bezier.io import bezierview, geomview, gmsh, load, obj
+from mitsuba_bezier.io.vtk import reader as vtu
 from mitsuba_bezier.verification.thresholds import Thresholds
 taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (taken + (1 << 30),) * 2)

@@ -21,7 +21,7 @@ import mitsuba_bezier
 #: All but the one that has `reciprocal` and `inverse_root`, which the others use.
 KERNELS = sorted(
     path
-    for path in (Path(mitsuba_bezier.__file__).parent / "kernels").glob("*.py")
+    for path in (Path(mitsuba_bezier.__file__).parent / "kernels").rglob("*.py")
     if path.stem not in ("__init__", "arrays")
 )
 

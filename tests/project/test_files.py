@@ -219,8 +219,8 @@ write_exr("old.exr", {{"R": noise["R"][:50]}})
 old = open("old.exr", "rb").read()
 for name, write in {{
     "old.exr": lambda p: write_exr(p, noise),
-    "old.vtu": lambda p: mb.BezierTriangles(rng.random((3000, 3, 4))).save(p),
-    "old.bv": lambda p: mb.BezierTriangles(rng.random((3000, 3, 4))).save(p),
+    "old.vtu": lambda p: mb.save(mb.BezierTriangles(rng.random((3000, 3, 4))), p),
+    "old.bv": lambda p: mb.save(mb.BezierTriangles(rng.random((3000, 3, 4))), p),
 }}.items():
     open(name, "wb").write(old[:100]) if name != "old.exr" else None
     before = open(name, "rb").read(), sorted(os.listdir())

@@ -86,7 +86,7 @@ from mitsuba_bezier.cli.main import main
 doctor._try = lambda *_: "works"
 sys.exit(main())
 """
-    scene = Path(__file__).parents[1] / "scenes" / "sphere.xml"
+    scene = Path(__file__).parents[2] / "scenes" / "sphere.xml"
     words = ["render", str(scene), "-o", str(tmp_path / "x.exr")] if command == "render" else []
     done = python(code, None, *(words or ["doctor"]))
     text = " ".join((done.stdout + done.stderr.splitlines()[-1]).split())
