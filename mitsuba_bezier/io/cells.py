@@ -14,6 +14,7 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..geometry.trims import Trims
+from .files import damaged
 from .report import Collector
 from .tensor_nets import tensor_nets
 
@@ -108,6 +109,19 @@ def add_cells(
     """
     lattice = tuple(map(tuple, cells.lattice.tolist()))
     degrees = cells.lattice.max(axis=0).tolist()
+    nodes = cells.nodes
+    if nodes.ndim != 2 or nodes.shape[1] != len(lattice):
+        raise damaged(
+            collector.report.path,
+            f"{len(lattice)} nodes in each {cells.kind}",
+            f"an array of shape {nodes.shape}",
+        )
+    if nodes.size and not (nodes.min() >= 0 and nodes.max() < len(points)):
+        raise damaged(
+            collector.report.path,
+            f"cells of the {len(points)} nodes that the file has",
+            f"node {int(nodes.max() if nodes.max() >= len(points) else nodes.min())}",
+        )
     if cells.kind == "quad":
         size = 2 * bernstein.size(sum(degrees))
     else:

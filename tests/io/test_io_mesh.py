@@ -462,3 +462,23 @@ def test_area_is_that_of_gmsh(tmp_path, n, quads):
             assert np.linalg.norm(normal, axis=1) @ weight == pytest.approx(area, rel=1e-6)
     finally:
         gmsh.finalize()
+
+
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ([[0, 1, 7]], "expected cells of the 4 nodes that the file has, got node 7"),
+        ([[0, 1, -1]], "expected cells of the 4 nodes that the file has, got node -1"),
+        ([[0, 1, 2, 3]], "expected 3 nodes in each triangle"),
+        ([0, 1, 2], "expected 3 nodes in each triangle"),
+    ],
+)
+def test_cells_of_nodes_that_are_not_there(nodes, message):
+    from mitsuba_bezier.io.cells import Cells, add_cells
+    from mitsuba_bezier.io.lattices import triangle_lattice
+    from mitsuba_bezier.io.report import Collector
+
+    points = np.ones((4, 4))
+    cells = Cells("triangle", triangle_lattice(1), np.array(nodes))
+    with pytest.raises(FileFormatError, match=message):
+        add_cells(Collector("a.inp", "Abaqus"), cells, points, np.zeros(1, dtype=int))
