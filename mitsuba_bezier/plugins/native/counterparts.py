@@ -92,17 +92,17 @@ def _make(name: str, props: Any, own: Callable[[Any], Any]) -> Any:
 
 def install() -> None:
     """Let integrators find their counterparts, in the variant that is set; once is enough."""
-    replace(mi.Integrator, "render", _render)
+    replace(mi.Integrator, "render", _handing_over("render"))
     replace(mi.Integrator, "skip_area_emitters", _skip_area_emitters)
     for owner in (mi.SamplingIntegrator, mi.AdjointIntegrator):
-        replace(owner, "render_forward", _render_forward)
-        replace(owner, "render_backward", _render_backward)
+        replace(owner, "render_forward", _handing_over("render_forward"))
+        replace(owner, "render_backward", _handing_over("render_backward"))
     replace(mi.SamplingIntegrator, "sample", _sample)
     common = import_module("mitsuba.python.ad.integrators.common")
     for owner in (common.ADIntegrator, common.RBIntegrator, common.PSIntegrator):
-        for name, method in _DERIVED.items():
+        for name in _DERIVED:
             if name in vars(owner):
-                replace(owner, name, _of(owner, method))
+                replace(owner, name, _in_python(owner, name))
 
 
 def counterpart(integrator: Any, scene: Any) -> Any:
@@ -169,25 +169,15 @@ def _exchanged(name: str, own: str, parameters: dict[str, Any]) -> Any:
 # ---------------------------------------------------------------------- methods of integrators
 
 
-def _render(self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-    chosen = counterpart(self, scene)
-    if chosen is self:
-        return original(self, "render")(scene, *args, **kwargs)
-    return chosen.render(scene, *args, **kwargs)
+def _handing_over(name: str) -> Any:
+    """Return a method that hands a scene with Bézier shapes to the counterpart."""
 
+    def method(self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
+        chosen = counterpart(self, scene)
+        own = original(self, name) if chosen is self else getattr(chosen, name)
+        return own(scene, *args, **kwargs)
 
-def _render_forward(self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-    chosen = counterpart(self, scene)
-    if chosen is self:
-        return original(self, "render_forward")(scene, *args, **kwargs)
-    return chosen.render_forward(scene, *args, **kwargs)
-
-
-def _render_backward(self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-    chosen = counterpart(self, scene)
-    if chosen is self:
-        return original(self, "render_backward")(scene, *args, **kwargs)
-    return chosen.render_backward(scene, *args, **kwargs)
+    return method
 
 
 def _sample(
@@ -213,44 +203,29 @@ def _skip_area_emitters(
 # ---------------------------------------------------------------------- in Python
 
 
-def _of(owner: type, method: Any) -> Any:
-    """Bind a method below to the class whose own it replaces."""
-
-    def replaced(self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-        return method(owner, self, scene, *args, **kwargs)
-
-    return replaced
-
-
-def _python_render(owner: type, self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-    chosen = counterpart(self, scene)
-    if chosen is not self:
-        return chosen.render(scene, *args, **kwargs)
-    _prepare(scene)
-    return of_class(owner, "render")(self, scene, *args, **kwargs)
-
-
-def _python_forward(owner: type, self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-    chosen = counterpart(self, scene)
-    if chosen is not self:
-        return chosen.render_forward(scene, *args, **kwargs)
-    with SceneRays(scene).attach(dr.ADMode.Forward):
-        return of_class(owner, "render_forward")(self, scene, *args, **kwargs)
-
-
-def _python_backward(owner: type, self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
-    chosen = counterpart(self, scene)
-    if chosen is not self:
-        return chosen.render_backward(scene, *args, **kwargs)
-    with SceneRays(scene).attach(dr.ADMode.Backward):
-        return of_class(owner, "render_backward")(self, scene, *args, **kwargs)
-
-
+#: Methods of Mitsuba's base classes in Python, and what they track derivatives in.
 _DERIVED = {
-    "render": _python_render,
-    "render_forward": _python_forward,
-    "render_backward": _python_backward,
+    "render": None,
+    "render_forward": dr.ADMode.Forward,
+    "render_backward": dr.ADMode.Backward,
 }
+
+
+def _in_python(owner: type, name: str) -> Any:
+    """Return what takes the place of a class's own method, and prepares the scene for it."""
+
+    def method(self: Any, scene: Any, *args: Any, **kwargs: Any) -> Any:
+        chosen = counterpart(self, scene)
+        if chosen is not self:
+            return getattr(chosen, name)(scene, *args, **kwargs)
+        own, mode = of_class(owner, name), _DERIVED[name]
+        if mode is None:
+            _prepare(scene)
+            return own(self, scene, *args, **kwargs)
+        with SceneRays(scene).attach(mode):
+            return own(self, scene, *args, **kwargs)
+
+    return method
 
 
 def _prepare(scene: Any) -> None:
