@@ -1,4 +1,4 @@
-"""The one way in which this package writes a file: whole and on the disk, or not at all.
+"""Write files atomically: a file is whole and on the disk, or the old one stays.
 
 All bytes are there before the first is written, so that no library's own writing, whose errors
 may get lost when it closes a file, comes between. They go to a new file of a random name in the
@@ -151,7 +151,7 @@ def check_target(
 
 
 def is_utf8(name: str) -> bool:
-    """Tell whether the bytes of a file name or an argument are text in UTF-8."""
+    """Return whether the bytes of a file name or an argument are text in UTF-8."""
     try:
         os.fsencode(name).decode("utf-8")
     except UnicodeError:
@@ -160,7 +160,7 @@ def is_utf8(name: str) -> bool:
 
 
 def is_same(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
-    """Tell whether two paths are of one file, which need not be there."""
+    """Return whether two paths name one file, which need not exist."""
     try:
         return os.path.samefile(a, b)
     except OSError:

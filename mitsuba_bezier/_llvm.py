@@ -167,7 +167,7 @@ def _from_linker_cache() -> list[str]:
 
 
 def _same_machine(path: str) -> bool:
-    """Tell whether an ELF file is of the interpreter's class and machine (True off Linux)."""
+    """Return whether an ELF file is of the interpreter's class and machine (True off Linux)."""
     if sys.platform != "linux":
         return True
     try:

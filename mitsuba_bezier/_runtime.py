@@ -1,4 +1,4 @@
-"""What runs below Mitsuba: which LLVM Dr.Jit takes, and whether a variant can run our kernels.
+"""Prepare what runs below Mitsuba: choose an LLVM, and check that a variant runs our kernels.
 
 Dr.Jit looks for LLVM once, while it is imported, at ``DRJIT_LIBLLVM_PATH`` or under the linker's
 default name, which on many machines is LLVM 14, 15 or 16 and ends in an aborted process. So
@@ -84,7 +84,7 @@ def prepare() -> None:
 
 
 def _may_restart() -> bool:
-    """Tell whether Dr.Jit may forget its LLVM: no array exists. A graphics card is left alone."""
+    """Return whether Dr.Jit may forget its LLVM: no array exists. GPUs are left alone."""
     dr = import_module("drjit")
     mitsuba = sys.modules.get("mitsuba")
     if mitsuba is not None and (mitsuba.variant() or "scalar").split("_")[0] != "scalar":
@@ -197,7 +197,7 @@ def llvm_path() -> str | None:
 
 
 def variable_is_users() -> bool:
-    """Tell whether ``DRJIT_LIBLLVM_PATH`` is set, and not by `prepare`."""
+    """Return whether ``DRJIT_LIBLLVM_PATH`` is set, and not by `prepare`."""
     named = os.environ.get(VARIABLE)
     return bool(named) and (_ours is None or named != _ours.path)
 
@@ -244,7 +244,7 @@ def llvm_problem() -> str | None:
 
 
 def _starts(name: str) -> bool:
-    """Tell whether the backend of a variant is there and able to run our kernels."""
+    """Return whether the backend of a variant exists and can run our kernels."""
     if name.startswith("llvm_"):
         return llvm_problem() is None
     dr = import_module("drjit")

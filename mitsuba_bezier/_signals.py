@@ -1,4 +1,4 @@
-"""The end by a signal: Ctrl-C, SIGTERM and SIGHUP end the command at any moment, in one line.
+"""End a command by signal: Ctrl-C, SIGTERM and SIGHUP end it at any moment, in one line.
 
 An exception would not do. Python raises it between two steps of its own, so seconds late while
 the main thread is in a kernel, and inside of imports, where C++ libraries end in an aborted

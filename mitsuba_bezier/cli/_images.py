@@ -1,4 +1,4 @@
-"""The image files of a render: where they may go, their channels, and the preview."""
+"""Image files of a render: allowed paths, channels, and the preview."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def channels_of(bitmap: Any, half: bool) -> dict[str, np.ndarray]:
 
 
 def _is_colour(name: str) -> bool:
-    """Tell whether a channel is one of colour: of the film itself, or R, G, B, A of a layer."""
+    """Return whether a channel is a colour: of the film itself, or R, G, B, A of a layer."""
     layer, _, channel = name.rpartition(".")
     return channel in ({"R", "G", "B", "A"} if layer else {"R", "G", "B", "A", "X", "Y", "Z"})
 

@@ -1,4 +1,4 @@
-"""The flags that raise or lower the limits of readers."""
+"""Command-line flags that raise or lower the limits of readers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keep libraries that lie beside a scene from being loaded as plugins.
+"""Prevent libraries beside a scene from being loaded as plugins.
 
 Mitsuba looks for ``plugins/NAME.so`` in the scene's folder, in those that the scene names, and in
 the current one, before its own: a foreign scene could bring code along, even under a name of

@@ -1,4 +1,4 @@
-"""What is looked at in a scene file before Mitsuba reads it.
+"""Check a scene file before Mitsuba reads it.
 
 Mitsuba reads nested elements by calling itself: 60 000 of them end the process, and with it Python.
 A pipe or a device among the files of a scene keeps it waiting for ever.

@@ -1,4 +1,4 @@
-"""Standard streams that may fail: no text is without an encoding, and no reader has to stay.
+"""Make standard streams safe: any text can be written, and a reader may leave at any time.
 
 What cannot be said on standard error is dropped: a render goes on if whoever read its progress
 is gone. What cannot be printed to standard output is an error like any other.

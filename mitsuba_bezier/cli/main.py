@@ -105,7 +105,7 @@ def _run(words: list[str]) -> int:
 
 
 def _is_users(error: Exception) -> bool:
-    """Tell whether an error is to be told in a line: mistakes of ours are not dressed up."""
+    """Return whether an error is reported in one line; mistakes of ours keep their traceback."""
     if isinstance(error, RuntimeError):
         return "out of memory" in str(error)  # of Dr.Jit
     if isinstance(error, ImportError):  # a library that is not there, or finds no memory
@@ -114,7 +114,7 @@ def _is_users(error: Exception) -> bool:
 
 
 def _tell(error: Exception) -> int:
-    """Tell an error in one line and return the exit code."""
+    """Report an error in one line and return the exit code."""
     text = " ".join(str(error).split())
     if isinstance(error, (MemoryError, RuntimeError)):
         text = "this takes more memory than there is"

@@ -1,4 +1,4 @@
-"""Areas of patches, each refined where it needs to be."""
+"""Integrate areas of patches; each is refined only where it needs to be."""
 
 from __future__ import annotations
 

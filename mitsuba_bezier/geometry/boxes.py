@@ -51,7 +51,7 @@ def hull_boxes(nets: np.ndarray) -> np.ndarray:
 
 
 def _one_sign(nets: np.ndarray) -> np.ndarray:
-    """Tell which nets have weights of one sign; zero vectors add nothing to a point."""
+    """Return a mask of nets with weights of one sign; zero vectors add nothing to a point."""
     w = nets[..., 3]
     one = np.asarray((w > 0).all(axis=1) | (w < 0).all(axis=1))
     if not one.all():
@@ -66,7 +66,7 @@ def _corners(nets: np.ndarray) -> np.ndarray:
 
 
 def _reaches(nets: np.ndarray) -> np.ndarray:
-    """Tell which nets certainly reach infinity: a weight at a corner is zero, or two differ."""
+    """Return a mask of nets that certainly reach infinity, seen at their corners' weights."""
     corners = _corners(nets)
     ideal = (corners[..., 3] == 0) & corners.any(axis=-1)
     return ideal.any(axis=1) | _crosses(corners)
@@ -78,7 +78,7 @@ def _crosses(corners: np.ndarray) -> np.ndarray:
 
 
 def _open_sides(nets: np.ndarray) -> np.ndarray:
-    """Tell on which sides ``(P, 2, 3)`` nets reach infinity for sure: at a corner, or across."""
+    """Return sides ``(P, 2, 3)`` on which nets certainly reach infinity: at a corner, across."""
     corners, w = _corners(nets), nets[..., 3]
     sign = np.where((w >= 0).all(axis=1), 1.0, np.where((w <= 0).all(axis=1), -1.0, 0.0))
     vector = np.where(corners[..., 3:] == 0, corners[..., :3] * sign[:, None, None], 0.0)
@@ -125,7 +125,7 @@ def finite_parts(nets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def reaches_infinity(nets: np.ndarray) -> np.ndarray:
-    """Tell which of the nets ``(P, K, 4)`` have a point at infinity on their patches."""
+    """Return a mask of the nets ``(P, K, 4)`` whose patches have a point at infinity."""
     out = np.zeros(len(nets), dtype=bool)
     doubtful = np.flatnonzero(~_one_sign(nets))
     out[doubtful] = True

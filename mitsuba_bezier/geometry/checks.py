@@ -1,4 +1,4 @@
-"""Checks of what users hand in: arrays, vectors, lengths."""
+"""Check users' arguments: arrays, vectors, lengths."""
 
 from __future__ import annotations
 

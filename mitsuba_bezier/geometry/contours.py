@@ -1,4 +1,4 @@
-"""Where visibility changes: contours seen from a point, open edges and creases, as segments."""
+"""Find where visibility changes: contours from a point, open edges and creases, as segments."""
 
 from __future__ import annotations
 

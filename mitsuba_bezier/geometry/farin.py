@@ -1,4 +1,4 @@
-"""Evaluation by cross ratios: polygon and Farin points in place of weights.
+"""Evaluate curves by cross ratios: a polygon and Farin points instead of weights.
 
 The Farin point ``q_i`` on the leg ``b_i b_{i+1}`` (any multiple of ``b_i + b_{i+1}``) says as a
 point what the weights say as numbers. At every level of de Casteljau's algorithm

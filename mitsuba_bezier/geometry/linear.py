@@ -1,4 +1,4 @@
-"""Inverses of many matrices at once, of which some may be singular.
+"""Invert many matrices at once, some of which may be singular.
 
 One exactly singular matrix makes ``np.linalg.inv`` raise for all of them, and whether a pivot is
 exactly zero is a matter of rounding: it differs from one BLAS kernel to the next. So the matrices

@@ -171,7 +171,7 @@ def ideal(direction: Any) -> np.ndarray:
 
 
 def is_ideal(items: Any, tolerance: float = TOLERANCE, *, dual: bool = False) -> np.ndarray:
-    """Tell which elements lie at infinity.
+    """Return a mask of the elements at infinity.
 
     Parameters
     ----------

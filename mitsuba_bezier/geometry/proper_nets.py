@@ -1,4 +1,4 @@
-"""Nets freed of their common factor, and which of them are surfaces at all.
+"""Remove common factors from nets, and find the nets that are surfaces at all.
 
 A factor of a net means nothing, but far from one its products leave the range of numbers. And nets
 may be points, lines or curves, or have no finite point: these are met by no ray.
@@ -47,7 +47,7 @@ def free_of_factor(nets: np.ndarray, beyond: int = 0) -> np.ndarray:
 
 
 def spans_area(nets: np.ndarray) -> np.ndarray:
-    """Tell which nets ``(P, K, 4)`` are more than points and curves, and in finite space.
+    """Return a mask of the nets ``(P, K, 4)`` that are surfaces and reach finite space.
 
     With ``X`` the point and its partials, ``X, X_u, X_v`` are independent somewhere: tried at a
     lattice, in coordinates of the patch. What rounding makes of a curve is one.

@@ -1,4 +1,4 @@
-"""Which rational quadratic triangles lie on a quadric: the point and tangents that decide it."""
+"""Decide which rational quadratic triangles lie on a quadric, by one point and its tangents."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pieces of surfaces of revolution around the z axis, of which the shapes are made.
+"""Pieces of surfaces of revolution around the z axis, from which the shapes are built.
 
 All are nets of degree 2 with corner weights 1, so that neighbours have equal parameters along
 their common edge. The first two lie on a quadric, projected by `quadric_patch` from one of its

@@ -1,4 +1,4 @@
-"""Where polynomials in Bernstein form change their sign: isolation by subdivision."""
+"""Isolate sign changes of polynomials in Bernstein form by subdivision."""
 
 from __future__ import annotations
 

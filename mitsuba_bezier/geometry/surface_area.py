@@ -17,12 +17,12 @@ _LEVELS = 5
 
 
 def is_bounded(patches: BezierTriangles) -> bool:
-    """Tell whether no patch reaches infinity."""
+    """Return whether all patches are finite."""
     return not reaches_infinity(patches.control_points).any()
 
 
 def left_of_cells(trims: Trims, patch: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Tell what trims leave of triangles: 0 nothing, 1 maybe a part, 2 all.
+    """Return what trims leave of triangles: 0 nothing, 1 maybe a part, 2 all.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ class BezierTriangles:
 
     @property
     def _free_net(self) -> np.ndarray:
-        """The nets, of which those with factors whose products overflow are freed of them."""
+        """The nets, freed of factors whose products would overflow."""
         if self._free is None:
             self._free = free_of_factor(self._net, _MODERATE)
         return self._free

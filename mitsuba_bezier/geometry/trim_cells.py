@@ -1,4 +1,4 @@
-"""What a kernel reads to decide whether a hit is trimmed away: cells and monotone pieces.
+"""Tables for trimming in kernels: cells of the parameter triangle, and monotone pieces.
 
 Boundary curves are cut where a coordinate turns. A piece that rises in t and rises (``sigma = 1``)
 or falls (``sigma = -1``) in s is, in the coordinates

@@ -1,4 +1,4 @@
-"""Trimmed patches: which part of a patch's parameters belongs to the surface.
+"""Trimmed patches: the part of a patch's parameter triangle that belongs to the surface.
 
 A *region* is a part of the plane of a surface's own parameters ``(s, t)``, given by its boundary:
 closed loops of rational Bézier curves, inside by the even-odd rule. Many patches of a surface
@@ -136,7 +136,7 @@ class Trims:
         return out
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether all patches have the same trims; how regions are numbered is no matter."""
+        """Return whether all patches have the same trims, however their regions are numbered."""
         if not isinstance(other, Trims) or len(self) != len(other):
             return False
         names = ("square", "place", "arc")
@@ -189,7 +189,7 @@ class Trims:
         return self.place[patch, 0] + self.place[patch, 1] * self.unit(patch, uv)
 
     def inside(self, patch: Any, uv: Any) -> np.ndarray:
-        """Tell which points are on the surface: the slow, sure answer.
+        """Return a mask of the points on the surface: the slow, sure answer.
 
         A ray in the plane of parameters from ``(s, t)`` towards larger s crosses a curve where
         its second coordinate takes the value t; these parameters are isolated in Bernstein form.

@@ -1,4 +1,4 @@
-"""Opening and writing files: one place for missing files, folders and half-written output."""
+"""Open and write files: one place for missing files, folders and half-written output."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ _MARKS = (
 
 
 def has_mark(data: bytes) -> bool:
-    """Tell whether data begin with a byte order mark: then they are text."""
+    """Return whether data begin with a byte order mark: then they are text."""
     return any(data.startswith(mark) for mark, _encoding in _MARKS)
 
 

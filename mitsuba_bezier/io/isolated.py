@@ -1,4 +1,4 @@
-"""Readers that rest on large C++ libraries, run in a process of their own.
+"""Run readers that use large C++ libraries in a process of their own.
 
 A damaged file can crash such a library, and with it the Python that called it. So the file is
 read by a second Python, which hands its nets over in a file; if it dies, that is an error like
@@ -139,7 +139,7 @@ def _wait(process: subprocess.Popen[bytes], seconds: float) -> bytes:
 
 
 def _state(pid: int) -> tuple[bool, int] | None:
-    """Tell whether a process sleeps, and how many ticks of the clock it has computed (Linux)."""
+    """Return whether a process sleeps, and its processor time in clock ticks (Linux)."""
     try:
         words = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
         return words[0] in (b"S", b"T"), int(words[11]) + int(words[12])

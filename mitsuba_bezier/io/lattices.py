@@ -1,4 +1,4 @@
-"""Where the nodes of high-order cells lie: the orders of Gmsh and VTK.
+"""Node positions of high-order cells, in the orders of Gmsh and VTK.
 
 A lattice is an integer array with one row a node, in the order of the file: barycentric
 coordinates that sum to the order for triangles and tetrahedra, ``0 .. n`` along each axis for

@@ -1,4 +1,4 @@
-"""How much processor time and memory a reader may take, and how users raise it.
+"""Limits on the processor time and memory of a reader, and how users raise them.
 
 A file of a few kilobytes can ask for gigabytes or hours, by a forged count as well as by honest
 numbers: 60 000 spans of degree 30. Readers in a process of their own (`isolated`) are stopped by

@@ -1,4 +1,4 @@
-"""Text of finite element meshes, brought into the form that meshio understands.
+"""Rewrite the text of finite element meshes into the form that meshio understands.
 
 meshio takes what follows the letter of these formats as most programs write them, and passes over
 keywords it does not know without a word. Here comments, blanks and letters of editors are

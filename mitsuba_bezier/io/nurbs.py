@@ -1,4 +1,4 @@
-"""NURBS to Bézier patches: knot insertion by blossoms.
+"""Convert NURBS to Bézier patches: knot insertion by blossoms.
 
 The Bézier points of a B-spline on an interval ``[a, b]`` inside one knot span are the values of
 its blossom at ``a`` and ``b`` (Ramshaw); de Boor's algorithm evaluates it. So one small matrix

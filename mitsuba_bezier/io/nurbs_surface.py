@@ -1,4 +1,4 @@
-"""A grid of Bézier patches, as a NURBS surface has: evaluation and restriction."""
+"""Evaluate and restrict a NURBS surface, given as a grid of Bézier patches."""
 
 from __future__ import annotations
 

@@ -207,7 +207,7 @@ class _Reader:
             )
 
     def account(self) -> None:
-        """Tell what was not read."""
+        """Record what was not read."""
         report = self.collector.report
         if self.faces:
             report.refuse("f", "polygons, not free-form surfaces", self.faces)

@@ -1,4 +1,4 @@
-"""Tessellation to ``.ply`` at a chosen chord error, for programs that need triangles after all.
+"""Tessellate to ``.ply`` at a chosen chord error, for programs that need triangles.
 
 Each boundary curve is cut by its own error alone, so two patches that share a curve cut it alike
 and leave no crack; inside, a patch is cut by its own error.

@@ -1,4 +1,4 @@
-"""Polygons of a file, converted together: those of one number of corners at once."""
+"""Convert polygons of a file together, grouped by their number of corners."""
 
 from __future__ import annotations
 

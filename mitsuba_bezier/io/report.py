@@ -1,4 +1,4 @@
-"""What a reader found: nets, and an account of every face it met."""
+"""The result of a reader: nets, and a record of every face it met."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ class Collector:
         self._trims: dict[int, list[Trims | None]] = {}
 
     def expect(self, points: int) -> None:
-        """Tell that so many control points are about to be made.
+        """Announce this many control points before they are made.
 
         Raises
         ------

@@ -41,7 +41,7 @@ def tensor_nets(nets: np.ndarray) -> np.ndarray:
 
 
 def has_area(nets: np.ndarray) -> np.ndarray:
-    """Tell which nets ``(P, K, 4)`` of positive weights are more than a line or a point, ``(P,)``.
+    """Return a mask ``(P,)`` of positive nets ``(P, K, 4)`` that are no line and no point.
 
     CAD surfaces that end on an axis have such patches.
     """

@@ -1,4 +1,4 @@
-"""Words and numbers of a text file, with the line each came from."""
+"""Read words and numbers of a text file, with the line of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trims as a few plain arrays, for files."""
+"""Pack trims into a few plain arrays, for files."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def _cuts(edges: list[np.ndarray], knots: np.ndarray, tolerance: float, axis: in
 
 
 def _inside(points: np.ndarray, edges: list[np.ndarray]) -> np.ndarray:
-    """Tell which points ``(N, 2)`` lie inside of axis-parallel loops, by the even-odd rule."""
+    """Return a mask of the points ``(N, 2)`` inside axis-parallel loops, by the even-odd rule."""
     crossings = np.zeros(len(points), int)
     for u0, v0, u1, v1 in np.concatenate(edges).reshape(-1, 4):
         if u0 == u1:

@@ -1,1 +1,1 @@
-"""Independent answers, in float64 and with certificates: for `verify`, tests and benchmarks."""
+"""Independent float64 answers with certificates, for `verify`, tests and benchmarks."""

@@ -187,7 +187,7 @@ def least_squares(f: np.ndarray, c: np.ndarray, h: np.ndarray) -> tuple[np.ndarr
 
 
 def is_fold(f: np.ndarray, jacobian: np.ndarray, d1: np.ndarray) -> np.ndarray:
-    """Tell the pieces that pass the fold criterion of the module's description.
+    """Return a mask of the pieces that pass the fold criterion of the module's description.
 
     Parameters
     ----------

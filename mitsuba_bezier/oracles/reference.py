@@ -1,4 +1,4 @@
-"""The slow but sure intersector of rays and Bézier triangles, in float64: an oracle.
+"""Intersect rays and Bézier triangles in float64, slowly and with certificates: an oracle.
 
 A line is the meet of two planes. Put into the net they give two polynomials whose common
 roots are the intersections; `bivariate` finds all of them. Nothing is divided by a weight

@@ -1,4 +1,4 @@
-"""Comparing two images or two folders of images, and judging the outcome by limits."""
+"""Compare two images or two folders of images, and judge the outcome by limits."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _MAX_STOPS = 16.0
 
 
 def available() -> bool:
-    """Tell whether the `flip-evaluator` wheel can be imported."""
+    """Return whether the `flip-evaluator` wheel can be imported."""
     try:
         import flip_evaluator  # noqa: F401
     except ImportError:

@@ -1,4 +1,4 @@
-"""Cells of a ``.vtu`` file that are not to be seen: copies of other pieces' cells, and hidden ones.
+"""Find cells of a ``.vtu`` file that must not be seen: ghosts of other pieces, hidden cells.
 
 VTK marks them in the cell array ``vtkGhostType``, bit by bit; old files have ``vtkGhostLevels``. A
 cell with a hidden point is hidden, too.

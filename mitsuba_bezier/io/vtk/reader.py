@@ -1,4 +1,4 @@
-"""VTK unstructured grids (``.vtu``) of Bézier triangles, cell type 76.
+"""Read VTK unstructured grids (``.vtu``) of Bézier triangles, cell type 76.
 
 The points of a cell are Euclidean; their weights are a point array that must be flagged,
 ``<PointData RationalWeights="...">``: VTK ignores it otherwise. A weight of zero cannot be said

@@ -1,4 +1,4 @@
-"""Writer of VTK unstructured grids (``.vtu``) of Bézier triangles; see `vtu` for the format."""
+"""Write VTK unstructured grids (``.vtu``) of Bézier triangles; see `reader` for the format."""
 
 from __future__ import annotations
 
