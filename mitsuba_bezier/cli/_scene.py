@@ -6,7 +6,6 @@ exchanged while all its parameters, from whatever included file or default they 
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,10 +17,11 @@ from .. import _loading
 from .._files import is_utf8
 from .._runtime import import_mitsuba
 from ..errors import FileFormatError
+from ..verification.fingerprint import files_fingerprint, scene_files
 from . import _plugins
 from ._scene_xml import check_xml
 
-__all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "check_name", "load", "scene_files"]
+__all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "check_name", "load"]
 
 SHAPE = "beziertriangle"
 
@@ -62,7 +62,7 @@ HAS_NESTED = ("bezieraov",)
 class Loaded:
     """A scene, its integrator, and what the user should be told about the choice.
 
-    Also the files that it was read from, and a number that tells it from others (`scene_files`).
+    Also the files that it was read from, and its fingerprint.
     """
 
     scene: Any
@@ -119,7 +119,7 @@ def load(
         if not isinstance(scene, mi.Scene):
             raise FileFormatError.expected("SCENE", "a file whose root is <scene>", f"{path}")
         integrator = scene.integrator() or mi.load_dict({"type": name})
-    return Loaded(scene, integrator, name, tuple(notes), files, _digest(files, defines or {}))
+    return Loaded(scene, integrator, name, tuple(notes), files, files_fingerprint(files, defines))
 
 
 def check_name(path: str | Path) -> None:
@@ -136,57 +136,6 @@ def check_name(path: str | Path) -> None:
     for name in (str(path), os.path.dirname(os.path.realpath(path))):
         if not is_utf8(name):
             raise FileFormatError.expected("SCENE", "a name in UTF-8", repr(name))
-
-
-def scene_files(mi: Any, state: Any) -> tuple[Path, ...]:
-    """Return the files of a parsed scene: XML, and what parameters of its objects name.
-
-    Parameters
-    ----------
-    mi : module
-        Mitsuba, with the file resolver of the scene.
-    state : mi.parser.ParserState
-        The parsed scene.
-    """
-    resolver = mi.file_resolver()
-    files = [Path(str(file)) for file in state.files]
-    names = []
-    for node in state.nodes:
-        for key in node.props.keys():  # noqa: SIM118 (Properties is no dict)
-            seen = node.props.was_queried(key)
-            if isinstance(value := node.props[key], str):
-                names.append(value)
-            node.props.mark_queried(key, seen)  # Mitsuba tells of parameters that nothing reads
-    for file in files:  # spectra are read while the XML is
-        names += re.findall(r"""filename\s*=\s*["']([^"']*)["']""", _text(file))
-    for name in dict.fromkeys(names):
-        try:
-            found = Path(str(resolver.resolve(name)))
-            if name and found.is_file():
-                files.append(found)
-        except (OSError, RuntimeError, TypeError, ValueError):
-            continue  # a text that is no name of a file
-    return tuple(dict.fromkeys(files))
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
-
-
-def _digest(files: Sequence[Path], defines: Mapping[str, str]) -> str:
-    """Return a number of the contents of files, whatever their folders, and of parameters."""
-    total = hashlib.sha256(repr(sorted(defines.items())).encode())
-    for file in files:
-        own = hashlib.sha256()
-        with open(file, "rb") as data:
-            while block := data.read(1 << 20):
-                # a scene that has been through another system is the same
-                own.update(block.replace(b"\r", b"") if file.suffix.lower() == ".xml" else block)
-        total.update(own.digest())
-    return total.hexdigest()[:32]
 
 
 def _guarded(path: Path, step: Any, *args: Any, **kwargs: Any) -> Any:
