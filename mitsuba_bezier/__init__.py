@@ -60,20 +60,28 @@ from .geometry.triangulations import triangulated  # noqa: E402
 from .io import load, save  # noqa: E402
 
 __all__ = [
+    "BSplineCurve",
+    "BSplineSurface",
+    "BasicCurve",
     "BezierCurve",
     "BezierError",
     "BezierTriangles",
     "Camera",
+    "DualBezierCurve",
     "FileFormatError",
     "GeometryError",
     "NetError",
+    "Perspectivity",
+    "Polarity",
     "RuntimeSetupError",
+    "StereographicProjection",
     "VariantError",
     "__version__",
     "characterize",
     "classify_quadric",
     "collineation_to_paraboloid",
     "cone",
+    "conic_elements",
     "cylinder",
     "disk",
     "ellipsoid",
@@ -86,6 +94,7 @@ __all__ = [
     "hyperboloid_two_sheets",
     "load",
     "native",
+    "patchwork",
     "plane",
     "projective_type",
     "quadric_cover",
@@ -118,6 +127,19 @@ def register() -> None:
     register_plugins()
 
 
+#: Names of the lecture that few scenes need: loaded when they are asked for.
+_WHEN_ASKED = {
+    "BSplineCurve": "geometry.splines",
+    "BSplineSurface": "geometry.spline_surfaces",
+    "BasicCurve": "geometry.basic_curve",
+    "DualBezierCurve": "geometry.duality",
+    "Perspectivity": "geometry.ideal_elements",
+    "Polarity": "geometry.polarity",
+    "StereographicProjection": "geometry.stereographic",
+    "conic_elements": "geometry.conic_elements",
+    "patchwork": "geometry.four_sided",
+}
+
 #: Names that need Mitsuba, and where they are.
 _WITH_MITSUBA = {
     "native": "native.scene_methods",
@@ -128,6 +150,8 @@ _WITH_MITSUBA = {
 
 
 def __getattr__(name: str) -> Any:
+    if name in _WHEN_ASKED:
+        return getattr(import_module(f".{_WHEN_ASKED[name]}", __name__), name)
     if name in _WITH_MITSUBA:
         register()
         return getattr(import_module(f".plugins.{_WITH_MITSUBA[name]}", __name__), name)

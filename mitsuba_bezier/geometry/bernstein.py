@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import cache
 from math import comb, factorial, isqrt
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,9 @@ from ..errors import NetError
 
 __all__ = [
     "basis",
+    "blossom_step",
     "corner_rows",
+    "de_casteljau",
     "degree_of",
     "elevated",
     "elevation_matrix",
@@ -29,6 +32,8 @@ __all__ = [
     "split_matrices",
     "subdivide",
     "subdivision_matrix",
+    "trivariate",
+    "univariate",
 ]
 
 
@@ -111,6 +116,81 @@ def basis(n: int, uv: np.ndarray) -> np.ndarray:
         * powers[..., 1, ijk[:, 1]]
         * powers[..., 2, ijk[:, 2]]
     )
+
+
+def univariate(n: int, t: Any) -> np.ndarray:
+    """Return the Bernstein polynomials ``B_i(t) = C(n, i) (1-t)^(n-i) t^i``, ``(..., n+1)``.
+
+    Raises
+    ------
+    NetError
+        If `n` is no degree.
+    """
+    n = _degree(n)
+    t = np.asarray(t, dtype=np.float64)[..., None]
+    i = np.arange(n + 1)
+    return np.array([comb(n, k) for k in i], dtype=np.float64) * (1 - t) ** (n - i) * t**i
+
+
+def trivariate(n: int, uvw: Any) -> np.ndarray:
+    """Return the Bernstein polynomials of three variables ``n!/(i! j! k!) u^i v^j w^k``.
+
+    Parameters
+    ----------
+    n : int
+        Degree, at least 0.
+    uvw : (..., 3) or (..., 2) array_like
+        Three variables, of any sum (then the polynomials sum to its n-th power); or ``(u, v)``
+        alone, with ``w = 1 - u - v``.
+
+    Returns
+    -------
+    (..., K) array
+        In the order of `multi_indices`.
+
+    Raises
+    ------
+    NetError
+        If an argument is not of this form.
+    """
+    n, x = _degree(n), np.asarray(uvw, dtype=np.float64)
+    if x.ndim == 0 or x.shape[-1] not in (2, 3):
+        raise NetError.expected("uvw", "two or three variables", f"shape {x.shape}")
+    if x.shape[-1] == 2:
+        return basis(n, x)
+    ijk = multi_indices(n)
+    return _multinomials(n) * np.prod(x[..., None, :] ** ijk, axis=-1)
+
+
+def _degree(n: int) -> int:
+    if n != int(n) or n < 0:
+        raise NetError.expected("n", "a degree, an integer >= 0", n)
+    return int(n)
+
+
+def blossom_step(net: np.ndarray, uvw: np.ndarray) -> np.ndarray:
+    """Return a net ``(K_{n-1}, ...)``: one step of de Casteljau's algorithm over the triangle.
+
+    ``b_ijk <- u b_{i+1,j,k} + v b_{i,j+1,k} + w b_{i,j,k+1}``; with another `uvw` in every step the
+    last point is a value of the blossom.
+    """
+    n = degree_of(len(net))
+    i, j, _k = multi_indices(n - 1).T
+    level = n - i
+    rows = [
+        (level - 1) * level // 2 + level - 1 - j,  # (i + 1, j)
+        level * (level + 1) // 2 + level - (j + 1),
+        level * (level + 1) // 2 + level - j,
+    ]
+    return uvw[0] * net[rows[0]] + uvw[1] * net[rows[1]] + uvw[2] * net[rows[2]]
+
+
+def de_casteljau(net: np.ndarray, uvw: np.ndarray) -> list[np.ndarray]:
+    """Return the levels of de Casteljau's scheme: nets of degree ``n, n - 1, ..., 0``."""
+    scheme = [net]
+    while len(scheme[-1]) > 1:
+        scheme.append(blossom_step(scheme[-1], uvw))
+    return scheme
 
 
 @cache

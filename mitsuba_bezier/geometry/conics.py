@@ -290,32 +290,65 @@ def conic_arc(A: Any, start: Any, middle: Any, end: Any) -> BezierCurve:
 def unit_circle_to_conic(A: Any) -> np.ndarray:
     """Return a collineation ``(3, 3)`` that takes the unit circle to the conic.
 
+    It is balanced: for an ellipse it is affine, for a hyperbola it takes ``(1, 0)``, ``(-1, 0)`` to
+    the vertices and the line ``x = 0`` to infinity, for a parabola it takes ``(1, 0)`` to the
+    vertex, ``(-1, 0)`` to the ideal point, and ``(0, 1)``, ``(0, -1)`` to the ends of the chord
+    through the focus.
+
     Raises
     ------
     GeometryError
         If the conic is degenerate or has no real points.
     """
     a = _symmetric(A)
-    value, vector = np.linalg.eigh(a)
+    value = np.linalg.eigvalsh(a)
     if np.abs(value).min() <= ZERO or (value > 0).all() or (value < 0).all():
         raise GeometryError.expected("A", "a regular conic with real points", classify_conic(a))
-    if (value > 0).sum() == 1:
-        value = -value
-    order = np.argsort(-value)  # the negative one last
-    m = vector[:, order] / np.sqrt(np.abs(value[order]))
-    if np.linalg.det(m) < 0:
-        m[:, 0] = -m[:, 0]
-    return m if m[2, 2] >= 0 else m @ np.diag([-1.0, 1.0, -1.0])
+    lam, vec = np.linalg.eigh(a[:2, :2])
+    kind = classify_conic(a)
+    if kind == "hyperbola":
+        # the vertices are on the axis whose eigenvalue has not the sign of det(2x2) / det a
+        k = int(np.argmax(lam * np.sign(np.linalg.det(a))))
+    else:
+        k = int(np.argmin(np.abs(lam)))
+    along, across = np.append(vec[:, k], 0.0), np.append(vec[:, 1 - k], 0.0)
+    ratio = 0.0 if kind == "parabola" else lam[k] / lam[1 - k]
+    vertex = _vertex(a, a @ across, along, 0.0 if kind == "parabola" else float(along @ a @ along))
+    # y^2 = 2 p x - ratio x^2 with x along the axis from the vertex, y across
+    p = -(vertex @ a @ along) / lam[1 - k]
+    # the point at the angle f, by c = cos(f/2), s = sin(f/2): x = 2 p (r s)^2, y = 2 p r s c, with
+    # the weight c^2 + ratio (r s)^2
+    r = 0.5 if kind == "parabola" else 1 / np.sqrt(abs(ratio))
+    square = np.sign(ratio) * vertex + 2 * p * r * r * along  # ratio r^2 is 1, 0 or -1
+    m = np.stack([(vertex - square) / 2, p * r * across, (vertex + square) / 2], axis=1)
+    return m if np.linalg.det(m) > 0 else m * [1.0, -1.0, 1.0]
+
+
+def _vertex(a: np.ndarray, axis: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
+    """Return the vertex nearer to the origin, weight 1; `far` is ``along' a along``."""
+    point = np.append(-axis[2] * axis[:2] / (axis[:2] @ axis[:2]), 1.0)  # the axis' nearest
+    b, c = float(point @ a @ along), float(point @ a @ point)
+    # far x^2 + 2 b x + c = 0, and the root of smaller size without cancellation
+    q = -(b + np.copysign(np.sqrt(max(b * b - far * c, 0.0)), b))
+    return point + (c / q) * along if q else point
 
 
 def conic_arcs(A: Any, arcs: int = 3) -> list[BezierCurve]:
     """Return a whole regular conic as closed set of arcs, images of those of the circle.
 
-    Those of a parabola or hyperbola run through infinity. Errors as for
-    `unit_circle_to_conic`.
+    Those of a parabola or hyperbola run through infinity. The arcs are balanced, whatever the
+    conic's proportions and place: the finite control points of three arcs are no further from its
+    middle than three times its longer half axis (ellipse, hyperbola), or from the vertex than five
+    times its focal length (parabola). With more arcs points of the conic itself may lie far out.
+    Errors as for `unit_circle_to_conic`.
     """
     m = unit_circle_to_conic(A)
-    return [arc.transform(m) for arc in circle((0, 0), 1, arcs)]
+    nets = [arc.control_points @ m.T for arc in circle((0, 0), 1, arcs)]
+    # what rounding leaves of a weight where the conic itself goes to infinity
+    for net in nets:
+        tiny = np.abs(net[:, 2]) <= 1e-15 * np.abs(m[2]).max()
+        net[tiny, 2] = 0.0
+    return [BezierCurve(net) for net in nets]
 
 
 def classify_conic(A: Any) -> str:

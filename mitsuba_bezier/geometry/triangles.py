@@ -246,6 +246,55 @@ class BezierTriangles:
                 break
         return out
 
+    def de_casteljau(self, patch: int, uv: Any) -> list[np.ndarray]:
+        """Return de Casteljau's scheme of one patch at one parameter.
+
+        Parameters
+        ----------
+        patch : int
+            Patch number.
+        uv : (2,) array_like
+            Parameters, not required to lie in the triangle.
+
+        Returns
+        -------
+        list of (K_r, 4) arrays
+            The nets of degree ``n, n - 1, ..., 0``. The last one is the point, and the three points
+            before it span the tangent plane.
+        """
+        number, at = self._arguments(patch, uv)
+        if len(at) != 1:
+            raise NetError.expected("uv", "one pair of parameters", f"shape {at.shape}")
+        return bernstein.de_casteljau(self._net[number[0]], np.append(at[0], 1 - at[0].sum()))
+
+    def blossom(self, patch: int, *arguments: Any) -> np.ndarray:
+        """Return a value of the blossom of one patch, ``(4,)``.
+
+        Parameters
+        ----------
+        patch : int
+            Patch number.
+        *arguments : (2,) or (3,) array_like
+            Exactly n of them, in any order: ``(u, v)``, or barycentric coordinates of any sum, of
+            which 0 stands for a direction: ``(1, -1, 0)`` is along the first edge.
+
+        Raises
+        ------
+        NetError
+            If they are not of this form.
+        """
+        if len(arguments) != self.degree:
+            raise NetError.expected("arguments", f"{self.degree} of them", f"{len(arguments)}")
+        net = self._net[self._arguments(patch, (0, 0))[0][0]]
+        for value in arguments:
+            x = np.asarray(value, dtype=np.float64)
+            if x.shape not in ((2,), (3,)) or not np.isfinite(x).all():
+                raise NetError.expected(
+                    "arguments", "(u, v) or three barycentric coordinates", f"{value}"
+                )
+            net = bernstein.blossom_step(net, np.append(x, 1 - x.sum()) if len(x) == 2 else x)
+        return net[0]
+
     # ------------------------------------------------------------------ new nets
 
     def subtriangle(self, corners: Any) -> BezierTriangles:
