@@ -20,6 +20,7 @@ TARGET = Path(__file__).with_name("architecture.svg")
 #: Rows of the picture, from the top: what users call stands above what it is made of.
 ROWS = (
     ("cli",),
+    ("models",),
     ("plugins",),
     ("kernels", "io", "verification"),
     ("leaves", "oracles"),
@@ -31,6 +32,7 @@ BASE = ("errors", "_runtime", "_llvm")
 WIDTH, MARGIN, GAP, BOX, ROW = 1200, 20, 24, 96, 150
 COLOURS = {
     "cli": "#e8eef7",
+    "models": "#e8eef7",
     "plugins": "#dcebdc",
     "kernels": "#fbe9cf",
     "io": "#efe3f3",

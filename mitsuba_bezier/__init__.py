@@ -105,6 +105,7 @@ __all__ = [
     "register",
     "ruled_cover",
     "save",
+    "scene",
     "shape",
     "sphere",
     "tensor_to_triangles",
@@ -142,10 +143,11 @@ _WHEN_ASKED = {
 
 #: Names that need Mitsuba, and where they are.
 _WITH_MITSUBA = {
-    "native": "native.scene_methods",
-    "ray_intersect": "scene",
-    "ray_test": "scene",
-    "shape": "native.dictionaries",
+    "native": "plugins.native.scene_methods",
+    "ray_intersect": "plugins.scene",
+    "ray_test": "plugins.scene",
+    "scene": "models.scene",
+    "shape": "plugins.native.dictionaries",
 }
 
 
@@ -154,7 +156,7 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f".{_WHEN_ASKED[name]}", __name__), name)
     if name in _WITH_MITSUBA:
         register()
-        return getattr(import_module(f".plugins.{_WITH_MITSUBA[name]}", __name__), name)
+        return getattr(import_module(f".{_WITH_MITSUBA[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

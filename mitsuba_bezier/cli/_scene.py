@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,8 @@ HAS_NESTED = ("bezieraov",)
 class Loaded:
     """A scene, its integrator, and what the user should be told about the choice.
 
-    Also the files that it was read from, and its fingerprint.
+    Also the files that it was read from, its fingerprint, and what makes its preview, if that is
+    not `_images.encode_preview`.
     """
 
     scene: Any
@@ -71,6 +72,7 @@ class Loaded:
     notes: tuple[str, ...]
     files: tuple[Path, ...] = ()
     digest: str = ""
+    preview: Callable[[Any, float], bytes | None] | None = None
 
 
 def load(

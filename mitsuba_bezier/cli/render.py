@@ -1,4 +1,4 @@
-"""``mitsuba-bezier render``: render a scene file to OpenEXR and PNG."""
+"""``mitsuba-bezier render``: render a scene file, or models, to OpenEXR and PNG."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from .. import _runtime, _signals
 from .._files import check_target, is_utf8, refuse_inputs, write_files
 from .._version import __version__
 from ..errors import BezierError, RuntimeSetupError
+from . import _model
 from ._limits import add_limits
 from ._streams import printable
 
@@ -87,14 +88,16 @@ def add_parser(subparsers: Any) -> None:
     """Add the parser of this command."""
     parser = subparsers.add_parser(
         "render",
-        help="render a scene file to OpenEXR and PNG",
-        description="Render a Mitsuba scene (.xml), Bézier shapes and all others, to an OpenEXR "
+        help="render a scene file or models to OpenEXR and PNG",
+        description="Render a Mitsuba scene (.xml), Bézier shapes and all others, or a model "
+        "(CAD, finite elements, ...) for which a scene is made, to an OpenEXR "
         "file with a PNG preview beside it. Mitsuba's integrators 'path', 'volpath' and 'aov' are "
         "replaced by 'bezierpath', 'beziervolpath' and 'bezieraov', which have the same "
         "parameters and see Bézier shapes.",
     )
     add = parser.add_argument
-    add("scene", metavar="SCENE", help="the scene file")
+    add("scene", metavar="SCENE", help="the scene file, or a model")
+    add("more", metavar="MODEL", nargs="*", help="more models, for the same picture")
     add("-o", "--output", metavar="OUT.exr", help="default: beside the scene, as SCENE.exr")
     add("-m", "--mode", metavar="VARIANT", help=f"variant of Mitsuba ({DEFAULT_VARIANTS[0]})")
     add(
@@ -146,6 +149,7 @@ def add_parser(subparsers: Any) -> None:
     level = parser.add_mutually_exclusive_group()
     level.add_argument("-v", "--verbose", action="count", default=0, help="show Mitsuba's log")
     level.add_argument("-q", "--quiet", action="store_true", help="show errors only")
+    _model.add_options(parser)
     add_limits(parser)
 
 
@@ -155,7 +159,20 @@ def run(args: argparse.Namespace) -> int:
     from ..verification.images import encode_exr
     from . import _images, _passes, _scene
 
-    _scene.check_name(args.scene)
+    for name in (args.scene, *args.more):
+        _scene.check_name(name)
+    model = _model.is_model(args.scene)
+    if not model:
+        _model.refuse_for_scenes(args)
+
+    def say(line: str) -> None:
+        if not args.quiet:
+            print(line, file=sys.stderr)
+
+    if model and _model.writes_only(args):
+        for note in _model.load(args).notes:
+            say(f"mitsuba-bezier: {printable(note)}")
+        return 0
     beside = scene_file.with_suffix(".exr") if args.output is None else args.output
     output = _images.check_output(beside)
     preview = output.with_suffix(".png")
@@ -172,13 +189,13 @@ def run(args: argparse.Namespace) -> int:
             expected = "a number of threads that this system starts"
             raise BezierError.expected("--threads", expected, f"{args.threads} ({error})") from None
 
-    def say(line: str) -> None:
-        if not args.quiet:
-            print(line, file=sys.stderr)
-
-    loaded = _scene.load(scene_file, variant, dict(args.define), args.append, args.allow_plugins)
+    if model:
+        loaded = _model.load(args)
+    else:
+        defines = dict(args.define)
+        loaded = _scene.load(scene_file, variant, defines, args.append, args.allow_plugins)
     for note in loaded.notes:
-        say(f"mitsuba-bezier: {note}")
+        say(f"mitsuba-bezier: {printable(note)}")
     for file in (output, preview):
         refuse_inputs(file, loaded.files, "--output")
     sensor = _sensor(loaded.scene, args.sensor)
@@ -240,7 +257,7 @@ def run(args: argparse.Namespace) -> int:
         (int(film.crop_offset()[0]), int(film.crop_offset()[1])),
         (int(film.size()[0]), int(film.size()[1])),
     )
-    png = _images.encode_preview(rendering.bitmap, args.exposure)
+    png = (loaded.preview or _images.encode_preview)(rendering.bitmap, args.exposure)
     write_files({output: exr} if png is None else {output: exr, preview: png})
     names = f"{output} and {preview}" if png is not None else f"{output} (no colours: no PNG)"
     say(

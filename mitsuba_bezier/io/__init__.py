@@ -18,11 +18,13 @@ from ..errors import FileFormatError
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .limits import too_large
+from .parts import Part
 from .report import FormatWarning, Model, Refusal, Report
 
 __all__ = [
     "FormatWarning",
     "Model",
+    "Part",
     "Refusal",
     "Report",
     "known_suffixes",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..geometry import bernstein
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .limits import check_control_points
+from .parts import Part, flattened
 
 __all__ = ["FormatWarning", "Model", "Refusal", "Report"]
 
@@ -89,9 +91,18 @@ class Report:
             warnings.warn(self.summary(), FormatWarning, stacklevel=3)
 
 
-@dataclass
 class Model:
     """The contents of a file: nets grouped by degree, with the account of its faces.
+
+    Parameters
+    ----------
+    groups, sources, report, trims
+        As the attributes.
+    parts : list of Part, optional
+        The parts; then groups, sources and trims are those of all their places, put together when
+        they are asked for.
+    unit : str
+        As the attribute.
 
     Attributes
     ----------
@@ -103,12 +114,57 @@ class Model:
     trims : list of (Trims or None)
         For each group the trims of its patches, None if they are whole. Empty if none is
         trimmed.
+    parts : list of Part
+        What the file tells apart; one part if it tells nothing.
+    unit : str
+        The unit of its lengths, such as ``mm``; empty if the file does not tell.
     """
 
-    groups: list[BezierTriangles]
-    sources: list[np.ndarray]
-    report: Report
-    trims: list[Trims | None] = field(default_factory=list)
+    def __init__(
+        self,
+        groups: list[BezierTriangles] | None = None,
+        sources: list[np.ndarray] | None = None,
+        report: Report | None = None,
+        trims: list[Trims | None] | None = None,
+        parts: list[Part] | None = None,
+        unit: str = "",
+    ) -> None:
+        self.report = Report("", "") if report is None else report
+        self.unit = unit
+        self._flat = None if groups is None else (groups, sources or [], trims or [])
+        self._parts = parts
+
+    @property
+    def groups(self) -> list[BezierTriangles]:
+        return self._flattened()[0]
+
+    @property
+    def sources(self) -> list[np.ndarray]:
+        return self._flattened()[1]
+
+    @property
+    def trims(self) -> list[Trims | None]:
+        return self._flattened()[2]
+
+    def _flattened(
+        self,
+    ) -> tuple[list[BezierTriangles], list[np.ndarray], list[Trims | None]]:
+        if self._flat is None:
+            self._flat = flattened(self._parts or [])
+        return self._flat
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether the file tells parts."""
+        return self._parts is not None
+
+    @property
+    def parts(self) -> list[Part]:
+        if self._parts is None:
+            name = Path(self.report.path).stem or "model"
+            groups, sources, trims = self._flattened()
+            self._parts = [Part(name, groups, sources, list(trims))]
+        return self._parts
 
     def triangles(self) -> BezierTriangles:
         """Return all patches elevated to the highest degree, in the order of the file."""

@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import GeometryError
 from ..geometry.trims import Trims
 
-__all__ = ["packed_trims", "unpacked_trims"]
+__all__ = ["packed_trims", "trims_of_numbers", "trims_to_numbers", "unpacked_trims"]
 
 
 def packed_trims(trims: Trims) -> dict[str, np.ndarray]:
@@ -64,3 +64,39 @@ def unpacked_trims(arrays: dict[str, np.ndarray]) -> Trims:
         maps[:, 6:10].reshape(-1, 2, 2),
         maps[:, 10:],
     )
+
+
+def trims_to_numbers(trims: Trims) -> np.ndarray:
+    """Return trims as one row of numbers ``(1, L)``, for where only one array may go."""
+    parts = packed_trims(trims)
+    head = [len(parts["region"]), len(parts["curves"]), len(parts["points"])]
+    rows = [parts[name].ravel() for name in ("region", "map", "curves", "points")]
+    return np.concatenate([head, *rows]).astype(np.float64)[None]
+
+
+def trims_of_numbers(numbers: np.ndarray) -> Trims:
+    """Return the trims of the row of `trims_to_numbers`.
+
+    Raises
+    ------
+    GeometryError
+        If it is no such row.
+    """
+    row = np.asarray(numbers, dtype=np.float64).ravel()
+    head = row[:3]
+    whole = len(head) == 3 and np.isfinite(head).all() and (head == np.floor(head)).all()
+    if whole and (head >= 0).all() and len(row) == 3 + head @ [13, 2, 3]:
+        patches, curves, points = (int(x) for x in head)
+        cuts = np.cumsum([patches, 12 * patches, 2 * curves])
+        region, maps, sizes, places = np.split(row[3:], cuts)
+        whole_numbers = np.concatenate([region, sizes])
+        if np.isfinite(row).all() and (whole_numbers == np.floor(whole_numbers)).all():
+            return unpacked_trims(
+                {
+                    "region": region.astype(np.int64),
+                    "map": maps.reshape(-1, 12),
+                    "curves": sizes.astype(np.int64).reshape(-1, 2),
+                    "points": places.reshape(points, 3),
+                }
+            )
+    raise GeometryError.expected("trims", "a row of numbers of trims", f"{len(row)} others")

@@ -21,7 +21,7 @@ _MEDIA = ("interior", "exterior")
 PARAMETERS = {
     "beziertriangle": (
         *("control_points", "filename", "to_world", "copies", "copies_filename", "flip_normals"),
-        *("texcoords", "uv", "face_normals", "silhouette_sampling_weight", *_MEDIA),
+        *("trims", "texcoords", "uv", "face_normals", "silhouette_sampling_weight", *_MEDIA),
     ),
     "bezierpath": _PATH,
     "beziervolpath": _PATH,

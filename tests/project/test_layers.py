@@ -30,6 +30,7 @@ LAYERS = {
     "kernels": 20,
     "verification": 20,
     "plugins": 30,
+    "models": 35,
     "__init__": 40,
     "cli": 50,
 }

@@ -17,6 +17,8 @@ import numpy as np
 from ... import errors
 from ...errors import NetError
 from ...geometry.triangles import BezierTriangles
+from ...geometry.trims import Trims
+from ...io.trim_arrays import trims_to_numbers
 from ..frozen import is_bezier
 
 __all__ = ["install", "shape", "with_tensors"]
@@ -54,6 +56,8 @@ def with_tensors(scene: Any) -> Any:
 def _tensor(key: str, value: Any) -> Any:
     if isinstance(value, BezierTriangles):
         value = value.control_points
+    if isinstance(value, Trims):
+        value = trims_to_numbers(value)
     if not isinstance(value, (np.ndarray, list, tuple)):
         return value
     try:

@@ -75,7 +75,10 @@ def read_patches(props: mi.Properties) -> tuple[BezierTriangles, Trims | None]:
         net = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
         if net.ndim == 4 and net.shape[:2] == (1, 3):  # as `native.dictionaries` passes three
             net = net[0]
-        return BezierTriangles(net), None
+        patches = BezierTriangles(net)
+        return patches, _read_trims(props, len(patches))
+    if "trims" in props:
+        raise NetError.expected("trims", "none beside filename: the file has them", "some")
     from ...io import load_trimmed
 
     name = props["filename"]
@@ -85,3 +88,19 @@ def read_patches(props: mi.Properties) -> tuple[BezierTriangles, Trims | None]:
         return load_trimmed(str(mi.file_resolver().resolve(name)))
     except FileFormatError as error:
         raise FileFormatError(f"filename: {str(error).removeprefix('path: ')}") from None
+
+
+def _read_trims(props: mi.Properties, count: int) -> Trims | None:
+    """Take the trims of `count` patches that come as a tensor, see `io.trim_arrays`."""
+    if "trims" not in props:
+        return None
+    from ...io.trim_arrays import trims_of_numbers
+
+    tensor = props["trims"]
+    del props["trims"]
+    if not hasattr(tensor, "shape"):
+        raise NetError.expected("trims", "those of a model", repr(tensor))
+    trims = trims_of_numbers(np.array(tensor, dtype=np.float64))
+    if len(trims) != count:
+        raise NetError.expected("trims", f"those of {count} patches", len(trims))
+    return trims

@@ -1,0 +1,1 @@
+"""Make a scene around models: camera, light, ground, materials, and which parts are seen."""
