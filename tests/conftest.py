@@ -22,6 +22,7 @@ TIERS = {
     "geometry": "unit",
     "oracles": "unit",
     "leaves": "unit",
+    "models": "unit",
     "io": "files",
     "kernels": "kernel",
     "plugins": "render",

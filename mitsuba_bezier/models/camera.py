@@ -73,6 +73,10 @@ def read_up(up: Any) -> np.ndarray:
     return np.array(UPS[name], dtype=np.float64)
 
 
+#: The camera stays that far from the nearest point, relative to the size of the model.
+_CLEAR = 0.2
+
+
 @dataclass(frozen=True)
 class Frame:
     """Unit vectors of a view: to the right in the picture, upwards in it, towards the camera."""
@@ -157,7 +161,7 @@ def fitted(
         # |x - c| <= (d - z) tan: two bounds of c that are linear in d
         first = (local[:, :2] + local[:, 2:] * tangent).max(axis=0)
         second = (local[:, :2] - local[:, 2:] * tangent).min(axis=0)
-        depth = max(float(((first - second) / (2 * tangent)).max()), high[2] + 1e-3 * size)
+        depth = max(float(((first - second) / (2 * tangent)).max()), high[2] + _CLEAR * size)
         centre = (first - depth * tangent + second + depth * tangent) / 2
         place, scale = np.array([*centre, depth]), 1.0
         distance = depth - (low[2] + high[2]) / 2
