@@ -19,6 +19,7 @@ TARGET = Path(__file__).with_name("architecture.svg")
 
 #: Rows of the picture, from the top: what users call stands above what it is made of.
 ROWS = (
+    ("regression",),
     ("cli",),
     ("models",),
     ("plugins",),
@@ -31,6 +32,7 @@ BASE = ("errors", "_runtime", "_llvm")
 
 WIDTH, MARGIN, GAP, BOX, ROW = 1200, 20, 24, 96, 150
 COLOURS = {
+    "regression": "#e8eef7",
     "cli": "#e8eef7",
     "models": "#e8eef7",
     "plugins": "#dcebdc",

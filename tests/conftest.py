@@ -29,6 +29,7 @@ TIERS = {
     "verification": "files",
     "cli": "render",
     "project": "project",
+    "regression": "render",
 }
 _NEEDS = re.compile(
     r"^\s*(from|import) (drjit|mitsuba\b|(leaf|mitsuba|render|derivative|lecture)_cases)", re.M

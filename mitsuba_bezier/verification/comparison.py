@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ from ..errors import BezierError, FileFormatError
 from . import flip
 from .images import SUFFIXES, Image, read_image
 from .metrics import Metrics, measure
+from .noise import blank, expected_values, shows_nothing
 from .thresholds import Limits, Thresholds
-from .ztest import ZTest, comparable_layers, z_test
+from .ztest import ZTest, comparable_layers, noise_variance, z_test
 
 __all__ = ["Check", "Comparison", "Layer", "compare_images", "compare_paths", "pair_files"]
 
@@ -39,6 +40,8 @@ class Check:
         Place, conditions, or why there is no number.
     at_least : bool
         Whether the limit is a lower one.
+    expected : float or None
+        What noise alone gives, where the variance is known.
     """
 
     name: str
@@ -47,12 +50,20 @@ class Check:
     passed: bool | None = None
     note: str = ""
     at_least: bool = False
+    expected: float | None = None
+
+    @property
+    def below_noise(self) -> bool:
+        """Whether noise alone breaks the limit."""
+        return self.limit is not None and self.expected is not None and self.limit < self.expected
 
     def describe(self) -> str:
         """Return name, value, limit and note in a line."""
         text = f"{self.name} {self._show(self.value)}"
         if self.limit is not None:
             text += f", at {'least' if self.at_least else 'most'} {self._show(self.limit)}"
+            if self.expected is not None:
+                text += f", noise alone gives {self._show(self.expected)}"
         return f"{text} ({self.note})" if self.note else text
 
     def _show(self, value: float | None) -> str:
@@ -63,7 +74,10 @@ class Check:
 
 @dataclass(frozen=True)
 class Layer:
-    """Comparison of one layer: channel names, pixels of both sides, numbers and maps."""
+    """Comparison of one layer: channel names, pixels of both sides, numbers, maps, and notes.
+
+    Notes say what is wrong with the test itself, whatever came out.
+    """
 
     name: str
     channels: list[str]
@@ -73,6 +87,7 @@ class Layer:
     checks: list[Check]
     flip: np.ndarray | None = None
     z: ZTest | None = None
+    notes: list[str] = field(default_factory=list)
 
     @property
     def passed(self) -> bool:
@@ -119,6 +134,28 @@ class Comparison:
         return "pass" if all(layer.passed for layer in self.layers) else "fail"
 
     @property
+    def change(self) -> str:
+        """What became of the picture.
+
+        ``"new"`` without a reference, ``"removed"`` without a test image, ``"error"`` for what
+        could not be compared, ``"changed"`` or ``"unchanged"``.
+        """
+        if self.error:
+            if self.reference is None and self.test is not None:
+                return "new"
+            return "removed" if self.test is None and self.reference is not None else "error"
+        return "unchanged" if self.state == "pass" else "changed"
+
+    @property
+    def notes(self) -> list[str]:
+        """What is wrong with the test itself: nothing shown, limits that cannot decide."""
+        return [
+            f"{layer.name}: {note}" if layer.name else note
+            for layer in self.layers
+            for note in layer.notes
+        ]
+
+    @property
     def failed_checks(self) -> list[tuple[str, Check]]:
         """Layer name and check of all that failed."""
         return [(v.name, c) for v in self.layers for c in v.checks if c.passed is False]
@@ -128,6 +165,8 @@ class Comparison:
         return {
             "name": self.name,
             "state": self.state,
+            "change": self.change,
+            "notes": self.notes,
             "reference": None if self.reference is None else str(self.reference),
             "test": None if self.test is None else str(self.test),
             "error": self.error,
@@ -145,6 +184,7 @@ class Comparison:
                             "limit": check.limit,
                             "passed": check.passed,
                             "note": check.note,
+                            "expected": check.expected,
                             "text": check.describe(),
                         }
                         for check in layer.checks
@@ -156,13 +196,18 @@ class Comparison:
 
 
 def _judge(
-    metrics: Metrics, flip_error: float | None, z: ZTest | str, limits: Limits, names: list[str]
+    metrics: Metrics,
+    flip_error: float | None,
+    z: ZTest | str,
+    limits: Limits,
+    names: list[str],
+    noise: Mapping[str, float],
 ) -> list[Check]:
     """Hold the numbers of one layer against its limits."""
 
     def upper(name: str, value: float | None, limit: float | None, note: str = "") -> Check:
         passed = None if limit is None or value is None else bool(value <= limit)
-        return Check(name, value, limit, passed, note)
+        return Check(name, value, limit, passed, note, expected=noise.get(name))
 
     judged_z = limits.z_test is not False and (limits.z_test or isinstance(z, ZTest))
     max_limit, max_note = limits.max_abs, ""
@@ -221,9 +266,55 @@ def _compare_layer(
         flip_pixels = flip.flip_map(rgb[0], rgb[1], reference.encoding)
     z = z_test(reference, test, channels, spp) if limits.z_test is not False else ""
     flip_error = None if flip_pixels is None else float(flip_pixels.mean())
-    checks = _judge(metrics, flip_error, z, limits, channels)
+    variance = noise_variance(reference, test, channels, spp)
+    noise: dict[str, float] = {}
+    if variance is not None:
+        exact = limits.flip is not None and is_color and len(channels) == 3
+        noise = expected_values(a, variance, reference.encoding if exact else None)
+    checks = _judge(metrics, flip_error, z, limits, channels, noise)
+    notes = [
+        f"{check.name}: the limit {check.limit:.4g} is below what noise alone gives, "
+        f"{check.expected:.4g}: no render of so few samples keeps it"
+        for check in checks
+        if check.below_noise and metrics.max_abs > 0
+    ]
     z_found = z if isinstance(z, ZTest) else None
-    return Layer(name, channels, a, b, metrics, checks, flip_pixels, z_found)
+    exact_test = replace(test, channels={}, attributes={})
+    if shows_nothing(a, noise_variance(reference, exact_test, channels)):
+        if is_color:
+            color = ", ".join(f"{v:.4g}" for v in blank(a)[0, 0])
+            notes.append(f"the reference shows nothing: every pixel is {color}")
+    elif _cannot_fail(name, channels, reference, test, limits, spp):
+        notes.append(
+            "this test cannot fail: the limits let a picture pass that has one colour all over"
+        )
+    return Layer(name, channels, a, b, metrics, checks, flip_pixels, z_found, notes)
+
+
+def _cannot_fail(
+    name: str, channels: list[str], reference: Image, test: Image, limits: Limits, spp: int | None
+) -> bool:
+    """Tell whether a picture without any contrast would pass in place of the test image."""
+    a = reference.stack(channels)
+    flat = blank(a)
+    if not np.isfinite(flat).all():
+        return False
+    empty = Image(
+        {
+            **{c: p for c, p in test.channels.items() if c not in channels},
+            **{c: flat[..., k] for k, c in enumerate(channels)},
+        },
+        test.attributes,
+        test.encoding,
+        test.path,
+    )
+    z = z_test(reference, empty, channels, spp) if limits.z_test is not False else ""
+    flip_error = None
+    if limits.flip is not None and name == "" and len(channels) in (1, 3):
+        rgb = [np.repeat(v, 3, axis=-1) if len(channels) == 1 else v for v in (a, flat)]
+        flip_error = float(flip.flip_map(rgb[0], rgb[1], reference.encoding).mean())
+    checks = _judge(measure(a, flat), flip_error, z, replace(limits, allow_nan=True), channels, {})
+    return all(check.passed is not False for check in checks)
 
 
 def compare_images(

@@ -11,8 +11,9 @@ import datetime
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from .._files import write_file
 from .._version import __version__
 from . import png, preview
 from .comparison import Check, Comparison, Layer
+from .records import Record, without_folders
 
 __all__ = [
     "Entry",
@@ -28,6 +30,7 @@ __all__ = [
     "Panel",
     "Wording",
     "entry",
+    "from_record",
     "heat_map",
     "panel",
     "render_report",
@@ -121,6 +124,12 @@ class Entry:
         Small PNG file for the list.
     summary : str
         A line for the list if it passes; by default the judged numbers of the first panel.
+    change : str
+        What became of the image, of `records.STATES`; empty for what is no image of a test.
+    notes : list of str
+        What is wrong with the test itself.
+    size : float
+        How far it is beyond its limits, to sort by.
     """
 
     name: str
@@ -131,6 +140,9 @@ class Entry:
     facts: list[tuple[str, str, str]] = field(default_factory=list)
     thumbnail: bytes | None = None
     summary: str = ""
+    change: str = ""
+    notes: list[str] = field(default_factory=list)
+    size: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -224,8 +236,31 @@ def entry(comparison: Comparison, command: str = "", exposure: float | None = No
     return Entry(comparison.name, comparison.state, panels, comparison.error, command, facts, small)
 
 
+def from_record(
+    found: Entry, record: Record, state: str, thumbnail: bytes | None, root: Path
+) -> Entry:
+    """Return an entry with what a test recorded, and no absolute path in it."""
+    numbers = [m["text"] for m in record.measures if m["passed"] is not None]
+    return replace(
+        found,
+        name=record.title,
+        state=state,
+        message=without_folders(found.message, [root]),
+        facts=[
+            (key, without_folders(a, [root]), without_folders(b, [root]))
+            for key, a, b in found.facts
+        ],
+        thumbnail=thumbnail or found.thumbnail,
+        summary="; ".join(numbers) or record.message,
+        change=record.state,
+        notes=record.notes,
+        size=record.size,
+    )
+
+
 def _uri(picture: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(picture).decode()
+    kind = "jpeg" if picture.startswith(b"\xff\xd8") else "png"
+    return f"data:image/{kind};base64," + base64.b64encode(picture).decode()
 
 
 def _number(value: float | None) -> float | None:
@@ -309,6 +344,9 @@ def render_report(
                 "command": e.command,
                 "facts": e.facts,
                 "thumbnail": None if e.thumbnail is None else _uri(e.thumbnail),
+                "change": e.change,
+                "notes": e.notes,
+                "size": e.size,
                 "panels": [_panel_data(p) for p in e.panels],
             }
             for e in sorted(entries, key=lambda e: (_ORDER[e.state], e.name if by_name else ""))

@@ -37,6 +37,7 @@ __all__ = [
     "ZTest",
     "comparable_layers",
     "critical_z",
+    "noise_variance",
     "samples_per_pixel",
     "z_scores",
     "z_test",
@@ -133,6 +134,30 @@ def z_scores(
     The errors are variances of the means: per-sample variance over number of samples.
     """
     return (test - reference) / np.sqrt(reference_error + test_error)
+
+
+def noise_variance(
+    reference: Image, test: Image, names: list[str], spp: int | None = None
+) -> np.ndarray | None:
+    """Return the variance ``(H, W, C)`` that noise gives the difference of two images.
+
+    None where it is not known: no variance channels, or no number of samples.
+    """
+    if not any(_space(image, names) == "own" for image in (reference, test)):
+        return None
+    counts = samples_per_pixel(reference), samples_per_pixel(test, spp)
+    if counts == (None, None):
+        return None
+    own = [
+        image.stack(f"variance.{name}" for name in names) if _space(image, names) == "own" else None
+        for image in (reference, test)
+    ]
+    shared = next(v for v in own if v is not None)
+    total = np.zeros_like(shared)
+    for count, variance in zip(counts, own):
+        if count is not None:
+            total += np.maximum(shared if variance is None else variance, 0) / count
+    return total
 
 
 def _variance(image: Image, names: list[str], space: str) -> np.ndarray | None:

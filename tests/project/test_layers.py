@@ -33,6 +33,7 @@ LAYERS = {
     "models": 35,
     "__init__": 40,
     "cli": 50,
+    "regression": 60,  # a door like the command line, and it renders as that does
 }
 
 FORBIDDEN = {

@@ -2,74 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
+from pytest_cases import HEAD, SAME, Project
 
-from mitsuba_bezier.verification import pytest_plugin
 from mitsuba_bezier.verification.images import read_image, write_exr
 
 pytest_plugins = ["pytester"]
 
-HEAD = """
-import pytest
-import mitsuba_bezier
-import mitsuba as mi
-
-mi.set_variant("{variant}")
-
-def scene(radiance=1.0, size=24):
-    return {{
-        "type": "scene",
-        "integrator": {{"type": "direct"}},
-        "sensor": {{
-            "type": "perspective", "fov": 40,
-            "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
-            "film": {{"type": "hdrfilm", "width": size, "height": size,
-                "rfilter": {{"type": "box"}}}},
-            "sampler": {{"type": "independent", "sample_count": 16}},
-        }},
-        "ball": {{"type": "sphere"}},
-        "light": {{"type": "rectangle", "emitter": {{"type": "area", "radiance": radiance}},
-            "to_world": mi.ScalarTransform4f().look_at([0, 4, 2], [0, 0, 0], [0, 0, 1])}},
-        "sky": {{"type": "constant", "radiance": 0.3}},
-    }}
-"""
-SAME = "def test_same(render_regression):\n    render_regression(scene(), 'ball')\n"
-
-
-class Project:
-    """A folder with tests, run in processes of their own: Mitsuba cannot be loaded twice in one."""
-
-    def __init__(self, pytester, request):
-        self._pytester = pytester
-        # once the package is installed, its entry point loads the plugin
-        loaded = request.config.pluginmanager.is_registered(pytest_plugin)
-        self._arguments = [] if loaded else ["-p", pytest_plugin.__name__]
-        self.path = pytester.path
-        self.reference = pytester.path / "references" / "ball.exr"
-
-    def write(self, tests, name="test_ball", variant="scalar_rgb"):
-        self._pytester.makepyfile(**{name: HEAD.format(variant=variant) + tests})
-
-    def run(self, *more):
-        return self._pytester.runpytest_subprocess(
-            *self._arguments, "-p", "no:cacheprovider", "-W", "ignore", *more
-        )
-
-    def entries(self, report="bezier-artifacts/report.html"):
-        text = Path(self.path, report).read_text(encoding="utf-8")
-        return json.loads(re.findall(r'id="data">(.*?)</script>', text, re.S)[0])["entries"]
-
 
 @pytest.fixture
-def project(pytester, request, monkeypatch):
-    root = str(Path(pytest_plugin.__file__).parents[2])
-    monkeypatch.setenv("PYTHONPATH", root)
-    monkeypatch.setenv("COLUMNS", "300")  # messages are not cut
+def project(pytester, request):
     return Project(pytester, request)
 
 
@@ -159,7 +102,7 @@ def test_what_fails_is_told_kept_and_shown(project):
     stored.channels["G"][3, 4] = np.nan
     write_exr(project.path / "references/nan.exr", stored.channels, stored.attributes)
     (project.path / "limits.toml").write_text('[images."strict/*"]\nmax_abs = 1e-9\n')
-    project._pytester.makeini("[pytest]\nbezier_thresholds = limits.toml\n")
+    project.makeini("[pytest]\nbezier_thresholds = limits.toml\n")
 
     result = project.run()
     result.assert_outcomes(failed=5, passed=11)
@@ -181,7 +124,7 @@ def test_what_fails_is_told_kept_and_shown(project):
     ):
         result.stdout.fnmatch_lines([message])
     assert read_image(project.path / folder / "ball.exr").attributes["spp"] == 16
-    entries = {e["name"].partition("::")[2]: e for e in project.entries()}
+    entries = {e["name"].partition("::")[2]: e for e in project.entries() if e["state"] != "pass"}
     assert {name: entry["state"] for name, entry in entries.items()} == {
         "test_bright ball": "fail",
         "test_limit_of_the_call ball": "fail",

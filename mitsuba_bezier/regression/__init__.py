@@ -1,0 +1,1 @@
+"""Renders held against stored references by pytest: plugin, fixture, artefacts, reports."""

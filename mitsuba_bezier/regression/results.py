@@ -1,0 +1,74 @@
+"""Write what a run leaves: the figures as JSON, and the report."""
+
+from __future__ import annotations
+
+import base64
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..errors import BezierError
+from ..verification import report
+from ..verification.comparison import Comparison, compare_images
+from ..verification.images import read_image
+from ..verification.origin import commit_of, machine
+from ..verification.records import Record, relative
+from ..verification.thresholds import Thresholds
+from .settings import Settings
+
+__all__ = ["write_results"]
+
+RESULTS = "results.json"
+
+
+def write_results(own: Settings, records: Sequence[Record], command: str) -> Path:
+    """Write ``results.json`` and the report; return where the report is.
+
+    Raises
+    ------
+    FileFormatError
+        If a file cannot be written.
+    """
+    run = {
+        "made": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "version": __version__,
+        "root": relative(own.root, own.artifacts.folder),
+        **commit_of(own.root),
+        "machine": machine(),
+        "seconds": round(sum(record.seconds for record in records), 2),
+        "command": command,
+    }
+    data = {"run": run, "records": [record.as_json() for record in records]}
+    text = json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+    own.artifacts.write(RESULTS, text.encode("utf-8", "backslashreplace"))
+    entries = [_entry(record, own.root, own.artifacts.folder) for record in records]
+    target = own.report
+    page = report.render_report(
+        entries, "Render regression", f"Tests below {own.root.name}", command, by_name=False
+    ).encode("utf-8", "backslashreplace")
+    if own.config.getoption("--bezier-report"):
+        from .._files import write_file
+
+        write_file(target, page, make_folders=True)
+        return target
+    return own.artifacts.write(target.name, page)
+
+
+def _entry(record: Record, root: Path, folder: Path) -> Any:
+    """Build the entry of a report; the images that were kept are read again."""
+    a, b = root / record.reference, folder / record.image
+    result = Comparison(record.title, a, b, error=record.message)
+    if record.image and not record.message:
+        try:
+            images = read_image(a), read_image(b)
+            limits = Thresholds(record.limits)
+            result = compare_images(*images, limits, record.title)
+        except BezierError as error:  # it was there when the test ran
+            result = Comparison(record.title, a, b, error=str(error))
+    found = report.entry(result, record.command)
+    state = {"unchanged": "pass", "accepted": "pass", "removed": "pass", "changed": "fail"}
+    small = base64.b64decode(record.thumbnail) if record.thumbnail else None
+    return report.from_record(found, record, state.get(record.state, "error"), small, root)

@@ -1,0 +1,164 @@
+"""What the options and the ini file say: folders, names to accept, forms of the report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .artifacts import Artifacts
+
+if TYPE_CHECKING:
+    import pytest
+
+__all__ = ["Settings", "add_options", "settings"]
+
+_KEY = "_mitsuba_bezier_settings"
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """Add the options and settings of this plugin."""
+    group = parser.getgroup("mitsuba-bezier", "regression of renders (mitsuba-bezier)")
+    add = group.addoption
+    add(
+        "--bezier-generate-refs",
+        action="store_true",
+        help="render and store the references of all render_regression tests, no comparison",
+    )
+    add(
+        "--bezier-accept",
+        metavar="NAME",
+        nargs="*",
+        help="render and store references where there is none or a limit is broken; of those "
+        "names only, if some are given (patterns of image or test)",
+    )
+    add(
+        "--bezier-report",
+        metavar="FILE",
+        help="write the report there, with the pictures of what passes, too",
+    )
+    ini = parser.addini
+    ini(
+        "bezier_reference_dir",
+        "references: beside each test file (references), or an absolute folder (~, $NAME and "
+        "{rootdir} are filled in) with the folders of the tests below",
+        default="references",
+    )
+    ini(
+        "bezier_artifact_dir",
+        "report, renders of what failed, below the root (bezier-artifacts)",
+        default="bezier-artifacts",
+    )
+    ini("bezier_thresholds", "TOML file with limits, below the root", default="")
+    ini(
+        "bezier_candidates",
+        "render what would become the reference of what changed, so that it can be looked at and "
+        "accepted without another render (true)",
+        type="bool",
+        default=True,
+    )
+    ini(
+        "bezier_strict",
+        "fail tests that cannot fail, show nothing, or have limits below the noise (false)",
+        type="bool",
+        default=False,
+    )
+
+
+@dataclass
+class Settings:
+    """What holds for one run, in one process.
+
+    Attributes
+    ----------
+    root : Path
+        Of the project.
+    artifacts : Artifacts
+        What the run leaves.
+    accept : list of str or None
+        None: nothing is accepted; an empty list: everything.
+    """
+
+    config: Any
+    root: Path
+    artifacts: Artifacts
+    accept: list[str] | None
+
+    @property
+    def generates(self) -> bool:
+        """Whether all references are rendered anew."""
+        return bool(self.config.getoption("--bezier-generate-refs"))
+
+    @property
+    def strict(self) -> bool:
+        """Whether notes fail their tests."""
+        return bool(self.config.getini("bezier_strict"))
+
+    @property
+    def candidates(self) -> bool:
+        """Whether what changed is rendered as a reference would be."""
+        return bool(self.config.getini("bezier_candidates"))
+
+    @property
+    def report(self) -> Path:
+        """Where the report is written."""
+        chosen = self.config.getoption("--bezier-report")
+        if chosen:
+            return Path(self.config.invocation_params.dir, chosen)
+        return self.artifacts.folder / "report.html"
+
+    @property
+    def thresholds(self) -> Path | None:
+        """The file of limits."""
+        name = self.config.getini("bezier_thresholds")
+        return Path(self.root, name) if name else None
+
+    def references(self, test_file: Path) -> Path:
+        """Return the folder of the references of a test file."""
+        name = self.config.getini("bezier_reference_dir")
+        outside = "{rootdir}" in name
+        name = os.path.expandvars(os.path.expanduser(name.replace("{rootdir}", str(self.root))))
+        folder = Path(name)
+        if not (outside or folder.is_absolute()):
+            return test_file.parent / folder
+        try:  # one folder for all tests: theirs are kept apart in it
+            return folder / test_file.parent.relative_to(self.root)
+        except ValueError:
+            return folder
+
+    def accepts(self, name: str, nodeid: str) -> bool:
+        """Tell whether a change of an image is to be accepted."""
+        if self.accept is None:
+            return False
+        return not self.accept or any(fits(pattern, name, nodeid) for pattern in self.accept)
+
+
+def fits(pattern: str, name: str, nodeid: str) -> bool:
+    """Tell whether a name or pattern means an image of a test."""
+    return pattern in (name, nodeid, f"{nodeid} {name}") or any(
+        fnmatchcase(text, pattern) for text in (name, nodeid)
+    )
+
+
+def settings(config: pytest.Config) -> Settings:
+    """Return the settings of a run, made once."""
+    known = getattr(config, _KEY, None)
+    if known is None:
+        folder = Path(config.rootpath, config.getini("bezier_artifact_dir"))
+        accept = config.getoption("--bezier-accept")
+        known = Settings(config, config.rootpath, Artifacts(folder), accept)
+        setattr(config, _KEY, known)
+    return known
+
+
+def split_paths(words: Sequence[str], here: Path) -> tuple[list[str], list[str]]:
+    """Return which words are names of images and which are what pytest shall run."""
+    paths = [
+        word
+        for word in words
+        if word.partition("::")[0].endswith(".py") or (here / word.partition("::")[0]).is_dir()
+    ]
+    return [word for word in words if word not in paths], paths

@@ -1,0 +1,226 @@
+"""A scene, seen by one of its sensors, rendered as ``mitsuba-bezier render`` does."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import _loading, _runtime
+from .._version import __version__
+from ..cli import _images, _passes, _scene
+from ..errors import BezierError, FileFormatError, VariantError
+from ..verification.images import Image, write_exr
+from ..verification.merge import Accumulator
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["FIRST_REFERENCE_SEED", "REFERENCE_PASSES", "Shot", "find_scene"]
+
+REFERENCE_PASSES = 32
+#: Seeds of the reference's passes begin here; tests take small numbers.
+FIRST_REFERENCE_SEED = 1_000_000
+
+
+def find_scene(name: str | Path, folders: Sequence[Path]) -> Path:
+    """Return the scene file of that name, in the first folder that has it.
+
+    Raises
+    ------
+    FileFormatError
+        If none has.
+    """
+    for folder in folders:
+        path = folder / name  # an absolute name stays what it is
+        if path.is_file():
+            return path
+    places = " or ".join(str(folder) for folder in dict.fromkeys(folders))
+    raise FileFormatError.expected("scene", "an existing file", f"{name}, which is not in {places}")
+
+
+class Shot:
+    """A scene ready to be rendered.
+
+    Parameters
+    ----------
+    scene : mi.Scene, dict, str or Path
+        A scene, its description, or an XML file, for the variant that is set.
+    folders : sequence of Path
+        Where XML files are looked for.
+    spp : int, optional
+        Samples per pixel; by default the sampler's.
+    sensor : int
+        Number of the sensor.
+    integrator : mi.Integrator or dict, optional
+        Overrules the scene's.
+    define : mapping, optional
+        Values of the ``$parameters`` of an XML file.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        folders: Sequence[Path] = (Path(),),
+        spp: int | None = None,
+        sensor: int = 0,
+        integrator: Any = None,
+        define: Mapping[str, Any] | None = None,
+    ) -> None:
+        mi = self._mi = _runtime.import_mitsuba()
+        if mi.variant() is None:
+            raise VariantError.expected(
+                "variant", "one that is set before, e.g. mi.set_variant('llvm_ad_rgb')", "none"
+            )
+        self._scalar = mi.variant().startswith("scalar")
+        self._digest = ""
+        own = None
+        if define and not isinstance(scene, (str, Path)):
+            raise BezierError.expected("define", "parameters of an XML file", "another scene")
+        if isinstance(scene, (str, Path)):
+            scene, own = self._load(find_scene(scene, folders), define)
+        elif isinstance(scene, dict):
+            scene = _loading.load_dict(mi, scene)
+        if not isinstance(scene, mi.Scene):
+            raise BezierError.expected(
+                "scene", "a Mitsuba scene, dict or XML file", type(scene).__name__
+            )
+        sensors = scene.sensors()
+        if not 0 <= sensor < len(sensors):
+            raise BezierError.expected("sensor", f"a number below {len(sensors)}", sensor)
+        if isinstance(integrator, dict):
+            integrator = mi.load_dict(integrator)
+        self._scene, self._sensor, self._number = scene, sensors[sensor], sensor
+        integrator = integrator or own or scene.integrator()
+        if integrator is None:
+            integrator = mi.load_dict({"type": "path" if self._scalar else _scene.SEES_BEZIER[0]})
+        self._integrator = integrator
+        self._check_integrator()
+        self.spp = self._sensor.sampler().sample_count() if spp is None else spp
+        if self.spp < 1:
+            raise BezierError.expected("spp", "a number of samples >= 1", spp)
+
+    def _load(self, path: Path, define: Mapping[str, Any] | None) -> tuple[Any, Any]:
+        """Return scene and integrator of a file."""
+        values = {key: str(value) for key, value in (define or {}).items()}
+        if self._scalar:  # no kernels of ours, so nothing to be exchanged
+            _scene.check_name(path)
+            return _loading.load_file(self._mi, path, values), None
+        loaded = _scene.load(path, self._mi.variant(), values)
+        self._digest = loaded.digest
+        return loaded.scene, loaded.integrator
+
+    def _check_integrator(self) -> None:
+        """Make sure that what renders the scene sees all of it."""
+        if self._scalar or type(self._integrator).__module__ != "mitsuba":
+            return
+        from ..plugins.native import counterparts, scene_methods
+        from ..plugins.scene_data import data_for_scene
+
+        if data_for_scene(self._scene) is None:
+            return
+        if not scene_methods.is_on():
+            raise BezierError.expected(
+                "integrator",
+                "one that sees the scene's Bézier shapes (mb.native(False) is in force)",
+                self._integrator.class_name(),
+            )
+        counterparts.counterpart(self._integrator, self._scene)
+
+    def render(self, seed: int) -> Image:
+        """Return one render, float32, with the header attributes of a file."""
+        film, sampler = self._sensor.film(), self._sensor.sampler()
+        width, height = (int(n) for n in film.crop_size())
+        border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+        if self._scalar:
+            passes = [self.spp]
+        else:
+            pixels = (width + border) * (height + border)
+            passes = _passes.plan(pixels, self.spp, self._mi.variant())
+        before = sampler.sample_count()
+        try:
+            done = _passes.render(
+                *(self._scene, self._sensor, self._integrator, passes, seed, lambda _index: None)
+            )
+        finally:
+            sampler.set_sample_count(before)
+        channels = _images.channels_of(done.bitmap, half=False)
+        return Image(channels, self._attributes(done.spp, [seed]))
+
+    def render_reference(
+        self, passes: int, command: str, extra: Mapping[str, str | int]
+    ) -> tuple[Image, Image]:
+        """Render `passes` times; return mean and variance as one image, and the first render."""
+        total = Accumulator(variance=True)
+        first = None
+        for index in range(passes):
+            seed = FIRST_REFERENCE_SEED + index
+            image = self.render(seed)
+            total.add(image.channels, image.attributes["spp"], [seed])
+            first = first or image
+        attributes = self._attributes(total.spp, total.seeds) | {
+            "passes": passes,
+            "command": command,
+            **extra,
+        }
+        assert first is not None
+        return Image({**total.mean(), **total.variance()}, attributes), first
+
+    def _attributes(self, spp: int, seeds: list[int]) -> dict[str, str | int]:
+        film = self._sensor.film()
+        return {
+            "spp": spp,
+            "seed": seeds[0],
+            "seeds": " ".join(map(str, seeds)),
+            "scene": self.fingerprint,
+            "sensor": self._number,
+            "integrator": self._integrator_name(),
+            "rfilter": film.rfilter().class_name().removesuffix("Filter").lower(),
+            "variant": self._mi.variant(),
+            "version_mitsuba_bezier": __version__,
+            "version_mitsuba": metadata.version("mitsuba"),
+            "version_drjit": metadata.version("drjit"),
+            "version_llvm": ".".join(map(str, _runtime.llvm_version() or ())) or "none",
+        }
+
+    def _integrator_name(self) -> str:
+        name = type(self._integrator).__name__
+        if type(self._integrator).__module__ == "mitsuba":
+            name = self._integrator.class_name()
+        return name.removesuffix("Integrator").lower()
+
+    @property
+    def fingerprint(self) -> str:
+        """A number of what is rendered: of the files of an XML scene, else of all parameters."""
+        if not self._digest:
+            self._digest = _digest(self._mi, self._scene, self._integrator)
+        return self._digest
+
+
+def _digest(mi: Any, scene: Any, integrator: Any) -> str:
+    total = hashlib.sha256()
+    kinds = [shape.class_name() for shape in scene.shapes()]
+    # addresses differ from run to run
+    about = re.sub(r"0x[0-9a-f]+", "", f"{kinds} {integrator}")
+    total.update(about.encode())
+    parameters = mi.traverse(scene)
+    for key in sorted(parameters.keys()):
+        value = parameters[key]
+        total.update(key.encode())
+        try:
+            numbers = np.asarray(value)
+            data = numbers.tobytes() if numbers.dtype != object else repr(value).encode()
+        except (TypeError, ValueError, RuntimeError):
+            data = re.sub(r"0x[0-9a-f]+", "", repr(value)).encode()
+        total.update(data)
+    return total.hexdigest()[:32]
+
+
+def write(path: Path, image: Image) -> None:
+    """Write an image of `Shot`; folders on the way are made."""
+    write_exr(path, image.channels, image.attributes)
