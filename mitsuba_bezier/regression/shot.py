@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from .. import _loading, _runtime
 from .._version import __version__
 from ..cli import _images, _passes, _scene
 from ..errors import BezierError, FileFormatError, VariantError
+from ..verification.fingerprint import scene_fingerprint
 from ..verification.images import Image, write_exr
 from ..verification.merge import Accumulator
 
@@ -78,12 +75,15 @@ class Shot:
                 "variant", "one that is set before, e.g. mi.set_variant('llvm_ad_rgb')", "none"
             )
         self._scalar = mi.variant().startswith("scalar")
-        self._digest = ""
+        self._digest, self._source = "", scene
+        self._values: dict[str, str] = {}
         own = None
         if define and not isinstance(scene, (str, Path)):
             raise BezierError.expected("define", "parameters of an XML file", "another scene")
         if isinstance(scene, (str, Path)):
-            scene, own = self._load(find_scene(scene, folders), define)
+            self._source = find_scene(scene, folders)
+            self._values = {key: str(value) for key, value in (define or {}).items()}
+            scene, own = self._load(self._source)
         elif isinstance(scene, dict):
             scene = _loading.load_dict(mi, scene)
         if not isinstance(scene, mi.Scene):
@@ -105,13 +105,12 @@ class Shot:
         if self.spp < 1:
             raise BezierError.expected("spp", "a number of samples >= 1", spp)
 
-    def _load(self, path: Path, define: Mapping[str, Any] | None) -> tuple[Any, Any]:
+    def _load(self, path: Path) -> tuple[Any, Any]:
         """Return scene and integrator of a file."""
-        values = {key: str(value) for key, value in (define or {}).items()}
         if self._scalar:  # no kernels of ours, so nothing to be exchanged
             _scene.check_name(path)
-            return _loading.load_file(self._mi, path, values), None
-        loaded = _scene.load(path, self._mi.variant(), values)
+            return _loading.load_file(self._mi, path, self._values), None
+        loaded = _scene.load(path, self._mi.variant(), self._values)
         self._digest = loaded.digest
         return loaded.scene, loaded.integrator
 
@@ -196,29 +195,13 @@ class Shot:
 
     @property
     def fingerprint(self) -> str:
-        """A number of what is rendered: of the files of an XML scene, else of all parameters."""
+        """What tells the scene from others."""
         if not self._digest:
-            self._digest = _digest(self._mi, self._scene, self._integrator)
+            try:
+                self._digest = scene_fingerprint(self._source, self._values)
+            except BezierError:  # the dictionary has objects in it
+                self._digest = scene_fingerprint(self._scene)
         return self._digest
-
-
-def _digest(mi: Any, scene: Any, integrator: Any) -> str:
-    total = hashlib.sha256()
-    kinds = [shape.class_name() for shape in scene.shapes()]
-    # addresses differ from run to run
-    about = re.sub(r"0x[0-9a-f]+", "", f"{kinds} {integrator}")
-    total.update(about.encode())
-    parameters = mi.traverse(scene)
-    for key in sorted(parameters.keys()):
-        value = parameters[key]
-        total.update(key.encode())
-        try:
-            numbers = np.asarray(value)
-            data = numbers.tobytes() if numbers.dtype != object else repr(value).encode()
-        except (TypeError, ValueError, RuntimeError):
-            data = re.sub(r"0x[0-9a-f]+", "", repr(value)).encode()
-        total.update(data)
-    return total.hexdigest()[:32]
 
 
 def write(path: Path, image: Image) -> None:
