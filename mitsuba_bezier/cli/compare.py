@@ -8,12 +8,16 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .._files import check_target, is_same, refuse_inputs, write_file
 from ..errors import FileFormatError
 from ._streams import printable
 from .render import stops
+
+if TYPE_CHECKING:
+    from ..verification.comparison import Comparison
+    from ..verification.records import Record
 
 __all__ = ["add_parser", "check_reports", "run"]
 
@@ -44,7 +48,8 @@ def add_parser(subparsers: Any) -> None:
         description="Compare two images (.exr, .png), or the images of two folders by their "
         "names, layer by layer: RMSE, relative MSE, largest difference, FLIP, and a Z-test where "
         "the variance is known. Without a limit and a variance, images must be equal.",
-        epilog="Exit code: 0 all pass, 1 some fail, 2 some could not be compared.",
+        epilog="Exit code: 0 all pass, 1 some fail, 2 some could not be compared. "
+        "'mitsuba-bezier accept report.html' lets B take the place of A.",
     )
     add = parser.add_argument
     add("reference", metavar="A", help="reference image or folder")
@@ -78,6 +83,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare, print the table, write the files; return 0, 1 or 2."""
     from ..verification import comparison, report
+    from ..verification.records import without_folders
     from ..verification.thresholds import Thresholds
 
     for name, value in (("A", args.reference), ("B", args.test)):
@@ -96,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
         args.reference, args.test, thresholds, args.spp, only=args.only
     ):
         if args.html:
-            entries.append(report.entry(result, _repeat(args, result.name), args.exposure))
+            made = report.entry(result, _repeat(args, result.name), args.exposure)
+            entries.append(report.from_record(made, _record(args, result), result.state))
         found.append((result.as_json(), result.state))
         del result  # only one pair of images is in memory at a time
 
@@ -106,8 +113,8 @@ def run(args: argparse.Namespace) -> int:
             args.html,
             entries,
             "Comparison of images",
-            f"Reference: {args.reference}, test: {args.test}",
-            shlex.join(args.argv),
+            f"Reference: {Path(args.reference).name}, test: {Path(args.test).name}",
+            without_folders(shlex.join(args.argv)),
         )
     if args.json == "-":
         print(json.dumps(outcome, indent=2))  # in ASCII, whatever the locale
@@ -119,6 +126,29 @@ def run(args: argparse.Namespace) -> int:
             print(f"report: {args.html}")
     states = {state for _, state in found}
     return 2 if "error" in states else 1 if "fail" in states else 0
+
+
+def _record(args: argparse.Namespace, result: Comparison) -> Record:
+    """Return what a report tells of a comparison; its paths are relative to the report."""
+    from ..verification.accept import digest
+    from ..verification.records import Record, measures, relative
+
+    folder = Path(args.html).resolve().parent
+    a, b = result.reference, result.test
+    if a is None and b is not None:  # where it would have its counterpart
+        a = Path(args.reference) / b.relative_to(args.test)
+    return Record(
+        title=result.name,
+        name=result.name,
+        state=result.change,
+        reference="" if a is None else relative(a, folder),
+        image="" if b is None else relative(b, folder),
+        candidate="" if b is None else relative(b, folder),
+        message=result.error,
+        measures=measures(result),
+        notes=result.notes,
+        was="" if a is None else digest(a),
+    )
 
 
 def _repeat(args: argparse.Namespace, name: str) -> str:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
+from ..verification.accept import digest
 from ..verification.records import Record, measures, relative, without_folders
 from .artifacts import safe_name
 from .settings import settings
@@ -139,6 +140,7 @@ class _Case:
             state="unchanged",
             reference=relative(self._reference, self._settings.root),
             command=self._command,
+            was=digest(self._reference),
             limits={k: v for k, v in asdict(thresholds.limits(name)).items() if v is not None},
         )
 

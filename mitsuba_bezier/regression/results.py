@@ -6,6 +6,7 @@ import base64
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +45,15 @@ def write_results(own: Settings, records: Sequence[Record], command: str) -> Pat
     data = {"run": run, "records": [record.as_json() for record in records]}
     text = json.dumps(data, indent=1, ensure_ascii=False) + "\n"
     own.artifacts.write(RESULTS, text.encode("utf-8", "backslashreplace"))
-    entries = [_entry(record, own.root, own.artifacts.folder) for record in records]
+    entries = [_entry(record, own) for record in records]
     target = own.report
     page = report.render_report(
-        entries, "Render regression", f"Tests below {own.root.name}", command, by_name=False
+        entries,
+        "Render regression",
+        f"Tests below {own.root.name}",
+        command,
+        by_name=False,
+        run={**run, "root": relative(own.root, target.parent)},
     ).encode("utf-8", "backslashreplace")
     if own.config.getoption("--bezier-report"):
         from .._files import write_file
@@ -57,8 +63,9 @@ def write_results(own: Settings, records: Sequence[Record], command: str) -> Pat
     return own.artifacts.write(target.name, page)
 
 
-def _entry(record: Record, root: Path, folder: Path) -> Any:
+def _entry(record: Record, own: Settings) -> Any:
     """Build the entry of a report; the images that were kept are read again."""
+    root, folder = own.root, own.artifacts.folder
     a, b = root / record.reference, folder / record.image
     result = Comparison(record.title, a, b, error=record.message)
     if record.image and not record.message:
@@ -71,4 +78,11 @@ def _entry(record: Record, root: Path, folder: Path) -> Any:
     found = report.entry(result, record.command)
     state = {"unchanged": "pass", "accepted": "pass", "removed": "pass", "changed": "fail"}
     small = base64.b64decode(record.thumbnail) if record.thumbnail else None
+    place = own.report.parent
+    if place != folder:  # --bezier-report: what is accepted lies elsewhere
+        image, candidate = (
+            relative(folder / name, place) if name else ""
+            for name in (record.image, record.candidate)
+        )
+        record = replace(record, image=image, candidate=candidate)
     return report.from_record(found, record, state.get(record.state, "error"), small, root)

@@ -10,8 +10,9 @@ from typing import Any
 import pytest
 
 from ..errors import BezierError
+from ..verification.accept import digest, fits
 from ..verification.records import STATES, Record, relative, without_folders
-from .settings import Settings, fits, settings
+from .settings import Settings, settings
 
 __all__ = ["Collector", "collected"]
 
@@ -144,7 +145,9 @@ class Collector:
                     name = path.relative_to(references).with_suffix("").as_posix()
                     where = relative(path, root)
                     note = f"{where}: no test uses it"
-                    out.append(Record(f"{where}", "", name, "removed", where, message=note))
+                    out.append(
+                        Record(where, "", name, "removed", where, message=note, was=digest(path))
+                    )
         return out
 
     def _write(self, records: list[Record]) -> None:

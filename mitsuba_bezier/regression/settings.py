@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..verification.accept import fits
 from .artifacts import Artifacts
 
 if TYPE_CHECKING:
@@ -134,13 +134,6 @@ class Settings:
         if self.accept is None:
             return False
         return not self.accept or any(fits(pattern, name, nodeid) for pattern in self.accept)
-
-
-def fits(pattern: str, name: str, nodeid: str) -> bool:
-    """Tell whether a name or pattern means an image of a test."""
-    return pattern in (name, nodeid, f"{nodeid} {name}") or any(
-        fnmatchcase(text, pattern) for text in (name, nodeid)
-    )
 
 
 def settings(config: pytest.Config) -> Settings:

@@ -55,12 +55,14 @@ class Record:
         Of rendering and comparing.
     thumbnail : str
         A small JPEG, base64.
+    was : str
+        Digest of the reference that was compared (`accept.digest`).
     """
 
     title: str
-    test: str
-    name: str
-    state: str
+    test: str = ""
+    name: str = ""
+    state: str = "error"
     reference: str = ""
     image: str = ""
     candidate: str = ""
@@ -71,6 +73,7 @@ class Record:
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
     thumbnail: str = ""
+    was: str = ""
 
     @property
     def failed(self) -> bool:

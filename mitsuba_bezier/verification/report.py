@@ -10,7 +10,7 @@ import base64
 import datetime
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -130,6 +130,8 @@ class Entry:
         What is wrong with the test itself.
     size : float
         How far it is beyond its limits, to sort by.
+    record : dict, optional
+        `records.Record` without its picture: what ``mitsuba-bezier accept`` needs.
     """
 
     name: str
@@ -143,6 +145,7 @@ class Entry:
     change: str = ""
     notes: list[str] = field(default_factory=list)
     size: float = 0.0
+    record: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -237,24 +240,32 @@ def entry(comparison: Comparison, command: str = "", exposure: float | None = No
 
 
 def from_record(
-    found: Entry, record: Record, state: str, thumbnail: bytes | None, root: Path
+    found: Entry,
+    record: Record,
+    state: str,
+    thumbnail: bytes | None = None,
+    root: str | os.PathLike[str] = ".",
 ) -> Entry:
     """Return an entry with what a test recorded, and no absolute path in it."""
     numbers = [m["text"] for m in record.measures if m["passed"] is not None]
+    root = Path(root).resolve()
+    files = ("file", record.reference or "missing", record.image or record.candidate or "missing")
     return replace(
         found,
         name=record.title,
         state=state,
         message=without_folders(found.message, [root]),
+        command=without_folders(found.command, [root]),
         facts=[
             (key, without_folders(a, [root]), without_folders(b, [root]))
-            for key, a, b in found.facts
+            for key, a, b in [files, *found.facts[1:]]
         ],
         thumbnail=thumbnail or found.thumbnail,
         summary="; ".join(numbers) or record.message,
         change=record.state,
         notes=record.notes,
         size=record.size,
+        record=record.figures(),
     )
 
 
@@ -312,6 +323,7 @@ def render_report(
     command: str = "",
     wording: Wording | None = None,
     by_name: bool = True,
+    run: Mapping[str, Any] | None = None,
 ) -> str:
     """Return the page as text, failures first.
 
@@ -327,6 +339,8 @@ def render_report(
         Other words than those for images.
     by_name : bool
         Whether entries of one state are sorted by name; else they stay as given.
+    run : mapping, optional
+        Commit, branch, machine, seconds; and ``root``, the folder that references are relative to.
     """
     data = {
         "words": asdict(wording or Wording()),
@@ -335,6 +349,7 @@ def render_report(
         "command": command,
         "made": _now(),
         "version": __version__,
+        "run": dict(run or {}),
         "entries": [
             {
                 "name": e.name,
@@ -347,6 +362,7 @@ def render_report(
                 "change": e.change,
                 "notes": e.notes,
                 "size": e.size,
+                "record": e.record,
                 "panels": [_panel_data(p) for p in e.panels],
             }
             for e in sorted(entries, key=lambda e: (_ORDER[e.state], e.name if by_name else ""))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import pickle
 import re
@@ -651,3 +653,27 @@ def test_temporary_names(tmp_path, monkeypatch):
         _files.write_file(tmp_path / "out.vtu", b"newer")
     assert opened[-1].endswith(".guessed.tmp") and victim.read_text() == "precious"
     assert (tmp_path / "out.vtu").read_bytes() == b"new"
+
+
+@sentence(
+    "A report can have `mitsuba-bezier accept` put images in the place of images below the folder "
+    "of the project or the current one, or remove such, and nothing else."
+)
+@pytest.mark.parametrize("reference", ["../victim", "victim", "../victim.exr", "a/link.exr"])
+@pytest.mark.parametrize("state", ["changed", "removed"])
+def test_a_report_that_wants_more(tmp_path, monkeypatch, capsys, reference, state):
+    work = tmp_path / "work"
+    (work / "a").mkdir(parents=True)
+    for victim in (tmp_path / "victim", tmp_path / "victim.exr", work / "victim"):
+        victim.write_text("precious")
+    (work / "a/link.exr").symlink_to("../victim")
+    write_exr(work / "new.exr", {"Y": np.zeros((2, 2), np.float32)})
+    record = {"title": "x", "state": state, "reference": reference, "candidate": "new.exr"}
+    record["was"] = hashlib.sha256(b"precious").hexdigest()[:16]  # it knows the old contents
+    (work / "r.json").write_text(json.dumps({"run": {}, "records": [record]}))
+    monkeypatch.chdir(work)
+    assert main.main(["accept", "r.json"]) == 2
+    assert "x: expected" in (told := capsys.readouterr().err) or "expected a" in told
+    for victim in (tmp_path / "victim", tmp_path / "victim.exr", work / "victim"):
+        assert victim.read_text() == "precious"
+    assert (work / "a/link.exr").is_symlink()
