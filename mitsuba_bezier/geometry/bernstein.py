@@ -25,6 +25,7 @@ __all__ = [
     "elevation_matrix",
     "monomial_matrix",
     "multi_indices",
+    "multinomials",
     "partials_matrices",
     "permutation",
     "row",
@@ -80,14 +81,17 @@ def corner_rows(n: int) -> tuple[int, int, int]:
 
 
 @cache
-def _multinomials(n: int) -> np.ndarray:
-    return np.array(
+def multinomials(n: int) -> np.ndarray:
+    """Return ``n!/(i! j! k!)`` in net order, ``(K,)``."""
+    out = np.array(
         [
             factorial(n) // (factorial(i) * factorial(j) * factorial(k))
             for i, j, k in multi_indices(n)
         ],
         dtype=np.float64,
     )
+    out.setflags(write=False)
+    return out
 
 
 def basis(n: int, uv: np.ndarray) -> np.ndarray:
@@ -111,7 +115,7 @@ def basis(n: int, uv: np.ndarray) -> np.ndarray:
         powers[..., e] = powers[..., e - 1] * uvw
     ijk = multi_indices(n)
     return (
-        _multinomials(n)
+        multinomials(n)
         * powers[..., 0, ijk[:, 0]]
         * powers[..., 1, ijk[:, 1]]
         * powers[..., 2, ijk[:, 2]]
@@ -347,12 +351,12 @@ def monomial_matrix(n: int) -> np.ndarray:
     ``w^k = (1 - u - v)^k`` gives the entries.
     """
     out = np.zeros((size(n), size(n)))
-    multinomials = _multinomials(n)
+    factors = multinomials(n)
     for col, (i, j, k) in enumerate(multi_indices(n)):
         for a in range(k + 1):
             for b in range(k - a + 1):
                 term = (-1) ** (a + b) * comb(k, a) * comb(k - a, b)
-                out[row(n, i + a, j + b), col] += multinomials[col] * term
+                out[row(n, i + a, j + b), col] += factors[col] * term
     out.setflags(write=False)
     return out
 

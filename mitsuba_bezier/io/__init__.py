@@ -61,6 +61,8 @@ _READERS = {
 _OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims", "attributes")}
 #: Suffixes of the formats whose patches can have trims.
 _TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu")
+#: Suffixes of the formats that have fields.
+_WITH_FIELDS = (".msh", ".vtu")
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtk.writer.write"}
 
 
@@ -84,7 +86,7 @@ def _function(path: str | PathLike[str], table: dict[str, str], verb: str) -> Ca
     return getattr(import_module(f".{module}", __name__), name)
 
 
-def read(path: str | PathLike[str], trims: bool = False) -> Model:
+def read(path: str | PathLike[str], trims: bool = False, fields: bool = True) -> Model:
     """Read a file and the account of its faces; no warnings are issued.
 
     Parameters
@@ -95,6 +97,8 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
         Whether patches may have trims. If not, faces that are trimmed by curves are restricted to
         them, or refused where that fails; trimmed patches of ``.vtu`` files are returned whole,
         with a note.
+    fields : bool
+        Whether what the file tells of its points and cells is read, into ``Model.fields``.
 
     Raises
     ------
@@ -103,9 +107,14 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
         converted.
     """
     reader = _function(path, _READERS, "read")
-    options = (trims,) if trims and Path(path).suffix.lower() in _TRIMMED else ()
+    suffix = Path(path).suffix.lower()
+    options: dict[str, Any] = {}
+    if trims and suffix in _TRIMMED:
+        options["trims"] = True
+    if fields and suffix in _WITH_FIELDS:
+        options["fields"] = True
     try:
-        return reader(path, *options)
+        return reader(path, **options)
     except MemoryError:
         raise too_large(path) from None
 
@@ -120,7 +129,7 @@ def load(path: str | PathLike[str]) -> BezierTriangles:
     FileFormatError
         As `read`.
     """
-    model = read(path)
+    model = read(path, fields=False)
     model.report.warn()
     return model.triangles()
 
@@ -130,7 +139,7 @@ def load_groups(path: str | PathLike[str]) -> list[BezierTriangles]:
 
     Warnings and errors are those of `load`.
     """
-    model = read(path)
+    model = read(path, fields=False)
     model.report.warn()
     return model.groups
 
@@ -164,7 +173,7 @@ def load_trimmed(path: str | PathLike[str]) -> tuple[BezierTriangles, Trims | No
     pair of BezierTriangles and Trims or None
         Patches of one degree, and which parts of their parameters are there; None: all of it.
     """
-    model = read(path, trims=True)
+    model = read(path, trims=True, fields=False)
     model.report.warn()
     return model.trimmed()
 

@@ -1,28 +1,61 @@
-"""High-order cells as Bézier triangles: Lagrange or Bézier nodes, surfaces of volume meshes.
+"""High-order cells as Bézier triangles, with the fields on them: Lagrange or Bézier nodes.
 
-A Lagrange cell interpolates its nodes, which lie on a regular lattice; the Bézier points are
-``inv(B) @ nodes`` with the Bernstein polynomials ``B`` at the lattice.
+A Lagrange cell interpolates its nodes, which lie on a lattice; the Bézier points are
+``inv(B) @ nodes`` with the Bernstein polynomials ``B`` at the lattice. A field is converted in the
+same way, with nodes of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from math import comb
 
 import numpy as np
 
 from ..geometry import bernstein
+from ..geometry.fields import BezierField
+from ..geometry.tensor import tensor_matrices
 from ..geometry.trims import Trims
 from .files import damaged
 from .report import Collector
 from .tensor_nets import tensor_nets
 
-__all__ = ["MAX_LAGRANGE", "Cells", "add_cells", "add_surface"]
+__all__ = ["MAX_LAGRANGE", "CellField", "Cells", "add_cells"]
 
 #: Highest degree of interpolated cells. A function as smooth as a sine is off by 2e-8 at degree
 #: 20, by 6e-6 at 25 and 1e5 at 40: between nodes at equal distances polynomials swing.
 MAX_LAGRANGE = 20
+
+
+@dataclass
+class CellField:
+    """A field on cells of one kind: what their nodes hold, as `Cells` does for points.
+
+    Attributes
+    ----------
+    lattice : (K, d) int array
+        Where its nodes lie. One row of zeros: a constant on each cell.
+    nodes : (C, K) int array
+        Rows of `values`.
+    values : (N, c) array
+    weights : (N,) array, optional
+        Of Bézier cells: the values are quotients with these weights.
+    bezier : bool
+        The values are Bernstein ordinates, not interpolated.
+    spacing : tuple of float, optional
+        As of `Cells`.
+    unit : str
+    """
+
+    lattice: np.ndarray
+    nodes: np.ndarray
+    values: np.ndarray
+    weights: np.ndarray | None = None
+    bezier: bool = False
+    spacing: tuple[float, ...] | None = None
+    unit: str = ""
 
 
 @dataclass
@@ -32,7 +65,7 @@ class Cells:
     Attributes
     ----------
     kind : str
-        ``"triangle"``, ``"quad"``, ``"tetra"`` or ``"hexahedron"``.
+        ``"triangle"``, ``"quad"``, ``"tetra"``, ``"hexahedron"``, ``"wedge"`` or ``"pyramid"``.
     lattice : (K, d) int array
         Where the nodes lie, see `lattices`.
     nodes : (C, K) int array
@@ -41,6 +74,9 @@ class Cells:
         The points are Bézier points, not interpolated nodes.
     copies : (C,) bool array, optional
         Volume cells that show no faces, but stand before those of others.
+    spacing : tuple of float, optional
+        Where the nodes of an edge lie, from 0 to 1 (default: at equal distances).
+    fields : dict of CellField
     """
 
     kind: str
@@ -48,6 +84,11 @@ class Cells:
     nodes: np.ndarray
     bezier: bool = False
     copies: np.ndarray | None = None
+    spacing: tuple[float, ...] | None = None
+    fields: Mapping[str, CellField] = field(default_factory=dict)
+
+
+_Lattice = tuple[tuple[int, ...], ...]
 
 
 def _univariate(n: int, t: np.ndarray) -> np.ndarray:
@@ -57,7 +98,7 @@ def _univariate(n: int, t: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
-def _order(kind: str, lattice: tuple[tuple[int, ...], ...]) -> np.ndarray:
+def _order(kind: str, lattice: _Lattice) -> np.ndarray:
     """Return the nodes of the file in our order; for quadrilaterals t runs fastest."""
     index = np.array(lattice)
     if kind == "triangle":
@@ -65,20 +106,45 @@ def _order(kind: str, lattice: tuple[tuple[int, ...], ...]) -> np.ndarray:
     return np.lexsort((index[:, 1], index[:, 0]))
 
 
-@lru_cache(maxsize=16)
-def _matrix(kind: str, lattice: tuple[tuple[int, ...], ...]) -> np.ndarray:
+@lru_cache(maxsize=64)
+def _matrix(kind: str, lattice: _Lattice, spacing: tuple[float, ...] | None) -> np.ndarray:
     """Return the matrix from interpolated nodes, in the order of the file, to Bézier points."""
     index = np.array(lattice)
+    if len(index) == 1:
+        return np.ones((1, 1))
     if kind == "triangle":
         n = int(index[0].sum())
-        basis = bernstein.basis(n, index[:, :2] / n)
+        if len(index) == 7:
+            return _bubble_matrix(index)
+        places = index[:, :2] / n
+        if spacing is not None:  # as MFEM has them: those of the edges, brought to a sum of one
+            at = np.array(spacing)[index]
+            places = (at / at.sum(axis=1, keepdims=True))[:, :2]
+        basis = bernstein.basis(n, places)
     else:
         p, q = index.max(axis=0).tolist()
         if len(index) == 8 and p == q == 2:  # serendipity: the middle node follows
-            return _matrix(kind, (*lattice, (1, 1))) @ _SERENDIPITY
-        bu, bv = _univariate(p, index[:, 0] / p), _univariate(q, index[:, 1] / q)
+            return _matrix(kind, (*lattice, (1, 1)), spacing) @ _SERENDIPITY
+        s, t = index[:, 0] / p, index[:, 1] / q
+        if spacing is not None:
+            s, t = np.array(spacing)[index].T
+        bu, bv = _univariate(p, s), _univariate(q, t)
         basis = (bu[:, :, None] * bv[:, None, :]).reshape(len(index), -1)
     return np.linalg.inv(basis)
+
+
+def _bubble_matrix(index: np.ndarray) -> np.ndarray:
+    """Return the matrix of a triangle of six nodes and its middle: a cubic with a bubble.
+
+    The bubble ``27 u v w`` is 4.5 B_111, and takes what the quadratic lacks in the middle.
+    """
+    quadratic = bernstein.elevation_matrix(2) @ _matrix(
+        "triangle", tuple(map(tuple, (index[:6] // 3).tolist())), None
+    )
+    out = np.concatenate([quadratic, np.zeros((10, 1))], axis=1)
+    middle = bernstein.basis(3, np.full((1, 2), 1 / 3)) @ out
+    out[bernstein.row(3, 1, 1)] += 4.5 * (np.eye(7)[6] - middle[0])
+    return out
 
 
 #: The eight-node quadrilateral lacks the term s^2 t^2: corners weigh -1/4, edges 1/2.
@@ -91,6 +157,9 @@ def add_cells(
     points: np.ndarray,
     sources: np.ndarray,
     trims: Trims | None = None,
+    *,
+    edges: np.ndarray | None = None,
+    faces: int | None = None,
 ) -> None:
     """Convert triangles or quadrilaterals and enter them in the report.
 
@@ -106,6 +175,10 @@ def add_cells(
         Numbers of the faces in the file.
     trims : Trims, optional
         Of triangles.
+    edges : (C, 3) bool array, optional
+        Whether sides of triangles are sides of faces; see `Model`.
+    faces : int, optional
+        How many faces they are, if triangles are pieces of faces.
     """
     lattice = tuple(map(tuple, cells.lattice.tolist()))
     degrees = cells.lattice.max(axis=0).tolist()
@@ -125,115 +198,50 @@ def add_cells(
     if cells.kind == "quad":
         size = 2 * bernstein.size(sum(degrees))
     else:
-        size = len(lattice)
-    collector.expect(size * len(cells.nodes))
+        size = max(len(lattice), 10 * (len(lattice) == 7))
+    collector.expect(size * len(nodes))
+    for name, own in cells.fields.items():
+        wide = own.values.shape[1] + (own.weights is not None)
+        collector.expect(-(-_size(cells.kind, own.lattice) * wide // 4) * len(nodes), name)
     if cells.bezier:
-        nets = points[cells.nodes[:, _order(cells.kind, lattice)]]
+        nets = points[nodes[:, _order(cells.kind, lattice)]]
     else:
-        nets = _matrix(cells.kind, lattice) @ points[cells.nodes]
+        nets = _matrix(cells.kind, lattice, cells.spacing) @ points[nodes]
         nets[..., 3] = 1.0  # all weights are 1; the rounding of inv(B) has no place in them
     if cells.kind == "quad":
         p, q = degrees
         nets = tensor_nets(nets.reshape(-1, p + 1, q + 1, 4))
         sources = np.repeat(sources, 2)
-    collector.add(nets, sources, trims)
-    collector.report.accept(len(cells.nodes))
+        edges = np.tile([True, True, False], (len(nets), 1))
+    fields = {name: _ordinates(name, cells.kind, own) for name, own in cells.fields.items()}
+    collector.add(nets, sources, trims, fields, edges)
+    collector.report.accept(len(nodes) if faces is None else faces)
 
 
-#: Outward faces of a tetrahedron: the corner that is missing, and the three in order.
-_TETRA_OUTWARD = {3: (0, 2, 1), 2: (0, 1, 3), 0: (1, 2, 3), 1: (0, 3, 2)}
+def _size(kind: str, lattice: np.ndarray) -> int:
+    """Return how many ordinates a field has on a cell."""
+    if kind == "quad":
+        return 2 * bernstein.size(int(lattice.max(axis=0).sum()))
+    return max(len(lattice), 10 * (len(lattice) == 7))
 
 
-def _faces(cells: Cells) -> list[Cells]:
-    """Return the faces of volume cells, normals pointing outward, in the order of the cells."""
-    out = []
-    lattice = cells.lattice
-    if cells.kind == "tetra":
-        for missing, corners in _TETRA_OUTWARD.items():
-            on = lattice[:, missing] == 0
-            out.append(
-                Cells(
-                    "triangle",
-                    lattice[on][:, corners],
-                    cells.nodes[:, on],
-                    cells.bezier,
-                    cells.copies,
-                )
-            )
+def _ordinates(name: str, kind: str, own: CellField) -> BezierField:
+    """Convert a field on triangles or quadrilaterals."""
+    lattice = tuple(map(tuple, own.lattice.tolist()))
+    values = own.values
+    if own.weights is not None:
+        values = np.concatenate([values * own.weights[:, None], own.weights[:, None]], axis=1)
+    if own.bezier:
+        out = values[own.nodes[:, _order(kind, lattice)]]
     else:
-        n = int(lattice.max())
-        for axis in range(3):
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            for side, axes in ((n, (first, second)), (0, (second, first))):
-                on = lattice[:, axis] == side
-                out.append(
-                    Cells(
-                        "quad", lattice[on][:, axes], cells.nodes[:, on], cells.bezier, cells.copies
-                    )
-                )
-    return out
-
-
-def _corner_keys(cells: Cells) -> np.ndarray:
-    """Return the sorted corner nodes of each face, ``(C, 4)``; -1 fills up triangles."""
-    n = cells.lattice.max()
-    if cells.kind == "triangle":
-        corners = cells.nodes[:, (cells.lattice == n).any(axis=1)]
-    else:
-        ends = (cells.lattice == 0) | (cells.lattice == cells.lattice.max(axis=0))
-        corners = cells.nodes[:, ends.all(axis=1)]
-    keys = np.full((len(corners), 4), -1)
-    keys[:, : corners.shape[1]] = np.sort(corners, axis=1)
-    return keys
-
-
-def add_surface(
-    collector: Collector,
-    volumes: list[Cells],
-    surfaces: list[Cells],
-    points: np.ndarray,
-    first: int,
-) -> None:
-    """Convert the faces that belong to one volume cell only: the surface of a volume mesh.
-
-    Parameters
-    ----------
-    collector : Collector
-        Where they go.
-    volumes : list of Cells
-        Of kind ``"tetra"`` or ``"hexahedron"``.
-    surfaces : list of Cells
-        Triangles and quadrilaterals that are in the file themselves: where one of them lies on
-        the surface, it is not converted twice.
-    points : (N, 4) array
-        Homogeneous points.
-    first : int
-        The number the first face gets.
-    """
-    faces = [face for cells in volumes for face in _faces(cells)]
-    if not faces:
-        return
-    keys = np.concatenate([_corner_keys(face) for face in faces])
-    _unique, inverse, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    outer = count[inverse.ravel()] == 1
-    outer &= ~np.concatenate(
-        [np.zeros(len(f.nodes), bool) if f.copies is None else f.copies for f in faces]
-    )
-    if surfaces:
-        given = np.concatenate([_corner_keys(cells) for cells in surfaces])
-        both = np.concatenate([given, keys])
-        _unique, index, inverse = np.unique(both, axis=0, return_index=True, return_inverse=True)
-        outer &= index[inverse.ravel()[len(given) :]] >= len(given)
-    numbers = first + np.cumsum(outer) - 1
-    start = 0
-    for face in faces:
-        here = slice(start, start + len(face.nodes))
-        start = here.stop
-        chosen = outer[here]
-        if chosen.any():
-            part = Cells(face.kind, face.lattice, face.nodes[chosen], face.bezier)
-            add_cells(collector, part, points, numbers[here][chosen])
-    cells = sum(len(v.nodes) for v in volumes)
-    collector.report.remarks.append(
-        f"the surface of {cells} volume cells: {outer.sum()} faces that belong to one cell only"
-    )
+        out = _matrix(kind, lattice, own.spacing) @ values[own.nodes]
+    if kind == "quad":
+        p, q = own.lattice.max(axis=0).tolist()
+        if p == q == 0:
+            out = np.repeat(out, 2, axis=0)
+        else:
+            both = np.stack([matrix @ out for matrix in tensor_matrices(p, q)], axis=1)
+            out = both.reshape(2 * len(out), -1, out.shape[2])
+    if own.weights is None:
+        return BezierField(name, out, None, own.unit)
+    return BezierField(name, out[..., :-1], out[..., -1], own.unit)

@@ -1,7 +1,7 @@
 """Gmsh meshes (``.msh``, versions 2.2 and 4.1, text and binary) of any order.
 
-Triangles, quadrilaterals (also the eight-node one) and the surface of tetrahedra and hexahedra
-are converted; everything else is reported.
+Triangles, quadrilaterals (also the eight-node one) and the surface of tetrahedra, hexahedra, and
+prisms and pyramids up to order 2 are converted, with the fields on them; what is left is reported.
 
 Source: the Gmsh reference manual, "Gmsh file formats", https://gmsh.info/doc/texinfo/gmsh.html
 """
@@ -15,12 +15,21 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileFormatError
-from .cells import Cells, add_cells, add_surface
+from .cells import Cells, add_cells
 from .files import damaged, decode_text, has_mark, read_bytes
-from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_lattice
+from .gmsh_fields import SECTIONS, View, named_views, read_view
+from .lattices import (
+    hexahedron_lattice,
+    pyramid_lattice,
+    quad_lattice,
+    tetra_lattice,
+    triangle_lattice,
+    wedge_lattice,
+)
 from .report import Collector, Model
 from .tensor_nets import homogeneous
 from .text import Tokens
+from .volume_faces import VOLUMES, add_surface, corner_keys, corner_keys_of_faces, part_of
 
 __all__ = ["read"]
 
@@ -41,7 +50,9 @@ for _n, _line, _tri, _quad, _tet, _hex in zip(
     if _hex:
         _TYPES[_hex] = ("hexahedron", _n, (_n + 1) ** 3)
 _TYPES |= {16: ("quad", 2, 8), 17: ("hexahedron", 2, 20)}
-_TYPES |= {6: ("prism", 1, 6), 13: ("prism", 2, 18), 18: ("prism", 2, 15)}
+_TYPES |= {6: ("wedge", 1, 6), 13: ("wedge", 2, 18), 18: ("wedge", 2, 15)}
+for _n, _prism in zip(range(3, 10), (90, 91, 106, 107, 108, 109, 110)):
+    _TYPES[_prism] = ("prism", _n, (_n + 1) ** 2 * (_n + 2) // 2)
 _TYPES |= {7: ("pyramid", 1, 5), 14: ("pyramid", 2, 14), 19: ("pyramid", 2, 13)}
 _TYPES |= {20: ("incomplete triangle", 3, 9), 22: ("incomplete triangle", 4, 12)}
 _TYPES |= {39: ("incomplete quad", 3, 12)}
@@ -57,7 +68,7 @@ _OTHERS = {
         "Periodic",
         "Parametrizations",
     ),
-    *("NodeData", "ElementData", "ElementNodeData", "InterpolationScheme", "GhostElements"),
+    *(*SECTIONS, "InterpolationScheme", "GhostElements"),
 }
 
 
@@ -79,6 +90,32 @@ class _Text:
         return self._tokens.word(expected)
 
     header = word
+
+    def quoted(self) -> str:
+        """Take a string in quotation marks, which may have blanks."""
+        words = [self.word("a string")]
+        while not (words[-1].endswith('"') and len(" ".join(words)) > 1):
+            if not words[0].startswith('"'):
+                break
+            words.append(self.word("a string in quotation marks"))
+        return " ".join(words).strip('"')
+
+    def real(self) -> float:
+        return float(self.take("f8", 1, "a number")[0])
+
+    def integer(self) -> int:
+        return int(self.take("i4", 1, "a number")[0])
+
+    def pair(self) -> tuple[int, int]:
+        first, second = self.take("i4", 2, "an element and its nodes").tolist()
+        return first, second
+
+    def rows(self, count: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+        """Take numbers of nodes or elements, each with values."""
+        values = self.take("f8", (1 + width) * count, "values").reshape(count, -1)
+        if not (np.abs(values[:, 0]) < 2**53).all():
+            raise self.error("integers as numbers of nodes and elements", "others")
+        return values[:, 0].astype(np.int64), values[:, 1:]
 
     def skip_to(self, word: str) -> bool:
         return self._tokens.skip_to(word)
@@ -116,6 +153,39 @@ class _Binary:
     def header(self, expected: str) -> str:
         """Take a number in a line of its own; binary data follow at once."""
         return self.word(expected)
+
+    def quoted(self) -> str:
+        """Take a string in quotation marks, in a line of its own."""
+        match = re.compile(rb"\s*([^\n]{0,1000})\n").match(self._data, self._at)
+        if not match:
+            raise self.error("a string in a line of its own", "other data")
+        self._at = match.end()
+        return match[1].decode("utf-8", "replace").strip().strip('"')
+
+    def _line(self, pattern: str, expected: str) -> str:
+        word = self.word(expected)
+        if not re.fullmatch(pattern, word):
+            raise self.error(expected, repr(word[:40]))
+        return word
+
+    def real(self) -> float:
+        return float(self._line(r"[-+0-9.eE]{1,40}|-?nan|-?inf", "a number"))
+
+    def integer(self) -> int:
+        return int(self._line(r"-?[0-9]{1,18}", "an integer"))
+
+    def pair(self) -> tuple[int, int]:
+        first, second = self.take("i4", 2, "an element and its nodes").tolist()
+        return first, second
+
+    def rows(self, count: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+        """Take numbers of nodes or elements, each with values."""
+        row = np.dtype([("tag", self._order + "i4"), ("x", self._order + "f8", (width,))])
+        if count * row.itemsize > self.size - self._at:
+            raise self.error(f"{count} rows of values", "the end of the file")
+        rows = np.frombuffer(self._data, row, count, self._at)
+        self._at += count * row.itemsize
+        return rows["tag"].astype(np.int64), rows["x"].astype(np.float64).reshape(count, width)
 
     def skip_to(self, word: str) -> bool:
         at = self._data.find(word.encode(), self._at)
@@ -169,8 +239,15 @@ def _header(file: _File, name: str) -> int:
     return int(text)
 
 
-def read(path: str | PathLike[str]) -> Model:
+def read(path: str | PathLike[str], fields: bool = False) -> Model:
     """Read the surface elements of a ``.msh`` file, and the surface of its volume elements.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    fields : bool
+        Whether node and element data are read.
 
     Raises
     ------
@@ -200,6 +277,7 @@ def read(path: str | PathLike[str]) -> Model:
     nodes: list[tuple[np.ndarray, np.ndarray]] = []
     elements: dict[int, list[np.ndarray]] = {}
     unknown: set[str] = set()
+    views: list[View] = []
     for _ in range(4):  # $MeshFormat and its three words
         file.word("$MeshFormat")
     if isinstance(file, _Binary):
@@ -213,6 +291,8 @@ def read(path: str | PathLike[str]) -> Model:
             (_read_nodes_2 if version == 2 else _read_nodes_4)(file, nodes)
         elif name == "$Elements":
             (_read_elements_2 if version == 2 else _read_elements_4)(file, elements)
+        elif fields and name[1:] in SECTIONS:
+            views.append(read_view(file, name[1:]))
         elif not file.skip_to(f"$End{name[1:]}"):
             raise file.error(f"$End{name[1:]}", "the end of the file")
         elif name[1:] not in _OTHERS:
@@ -226,7 +306,7 @@ def read(path: str | PathLike[str]) -> Model:
     if elements:
         tags = np.concatenate([np.zeros(0, np.int64), *(tag for tag, _x in nodes)])
         points = np.concatenate([np.zeros((0, 3)), *(x for _tag, x in nodes)])
-        _convert(file, collector, tags, points, elements)
+        _convert(file, collector, tags, points, elements, views)
     return collector.model(lambda: damaged(path, "surface elements", "none in this file"))
 
 
@@ -270,11 +350,12 @@ def _read_elements_2(file: _File, elements: dict[int, Any]) -> None:
     left = _header(file, "the number of elements")
     if isinstance(file, _Text):
         for _ in range(left):
-            _number, kind, labels = file.take("i4", 3, "an element").tolist()
+            number, kind, labels = file.take("i4", 3, "an element").tolist()
             if not 0 <= labels <= 1000:
                 raise file.error("a number of tags", labels)
             row = file.take("i4", labels + _size(file, kind), "the nodes of an element")
-            elements.setdefault(kind, []).append(row[None, labels:])
+            keep = [number, *row[labels:].tolist()]
+            elements.setdefault(kind, []).append(np.array([keep], dtype=np.int64))
         return
     while left > 0:
         kind, count, labels = file.take("i4", 3, "a block of elements").tolist()
@@ -282,7 +363,7 @@ def _read_elements_2(file: _File, elements: dict[int, Any]) -> None:
             raise file.error("a count and a number of tags", f"{count}, {labels}")
         width = 1 + labels + _size(file, kind)
         rows = file.take("i4", width * count, "elements").reshape(-1, width)
-        elements.setdefault(kind, []).append(rows[:, 1 + labels :])
+        elements.setdefault(kind, []).append(np.delete(rows, slice(1, 1 + labels), axis=1))
         left -= count
 
 
@@ -294,7 +375,39 @@ def _read_elements_4(file: _File, elements: dict[int, Any]) -> None:
         count = _count(file, "u8", "the number of elements")
         width = 1 + _size(file, kind)
         rows = file.take("u8", width * count, "elements").reshape(-1, width)
-        elements.setdefault(kind, []).append(rows[:, 1:])
+        elements.setdefault(kind, []).append(rows)
+
+
+def _lattice(kind: str, n: int) -> np.ndarray:
+    """Return where the nodes of an element of order n lie."""
+    if kind in ("wedge", "pyramid"):
+        return (wedge_lattice if kind == "wedge" else pyramid_lattice)(n)
+    if kind == "quad":
+        return quad_lattice(n, n, "gmsh")
+    if kind == "tetra":
+        return tetra_lattice(n, "gmsh")
+    return triangle_lattice(n) if kind == "triangle" else hexahedron_lattice(n)
+
+
+def _better(surfaces: list[Cells], volumes: list[Cells]) -> list[Cells]:
+    """Leave out surface elements on which a field has no values that a volume element has."""
+    names = {name for part in surfaces + volumes for name in part.fields}
+    corners = {tuple(row) for v in volumes for row in corner_keys_of_faces(v).tolist()}
+    out = []
+    for part in surfaces:
+        lacks = np.zeros(len(part.nodes), bool)
+        for name in names:
+            if name in part.fields:
+                own = part.fields[name]
+                lacks |= np.isnan(own.values[own.nodes]).all(axis=(1, 2))
+            else:
+                lacks[:] = True
+        if lacks.any():
+            on = [tuple(row) in corners for row in corner_keys(part).tolist()]
+            part = part_of(part, ~(lacks & on))
+        if len(part.nodes):
+            out.append(part)
+    return out
 
 
 def _convert(
@@ -303,19 +416,28 @@ def _convert(
     tags: np.ndarray,
     points: np.ndarray,
     elements: dict[int, list[np.ndarray]],
+    views: list[View],
 ) -> None:
-    """Convert the elements; `tags` are the numbers of the nodes, in any order."""
+    """Convert elements, rows of a number and nodes; `tags` are those of nodes, in any order."""
     order = np.argsort(tags, kind="stable")
     ordered = tags[order]
     surfaces: list[Cells] = []
     volumes: list[Cells] = []
+    schemes = sorted({repr(v.name[:40]) for v in views if v.scheme})
+    if schemes:
+        collector.report.notes.append(
+            f"fields with interpolation schemes of their own are not read: {', '.join(schemes)}"
+        )
+    named = named_views([v for v in views if not v.scheme])
+    at_nodes = {name: v.at_nodes(tags) for name, v in named.items() if v.kind == "node"}
     for number in sorted(elements):
         kind, n, _size = _TYPES[number]
-        nodes = np.concatenate(elements[number])
+        rows = np.concatenate(elements[number])
+        numbers, nodes = rows[:, 0], rows[:, 1:]
         if kind in ("point", "line"):
             collector.report.remarks.append(f"{len(nodes)} elements of type {number} ({kind})")
             continue
-        if kind not in ("triangle", "quad", "tetra", "hexahedron"):
+        if kind not in ("triangle", "quad", *VOLUMES):
             name = f"elements of type {number}"
             collector.report.refuse(name, f"{kind}: not supported", len(nodes))
             continue
@@ -326,15 +448,17 @@ def _convert(
                 file.path, "elements of nodes that are in $Nodes", f"others (type {number})"
             )
         rows = order[at]
-        if kind == "triangle":
-            surfaces.append(Cells(kind, triangle_lattice(n), rows))
-        elif kind == "quad":
-            surfaces.append(Cells(kind, quad_lattice(n, n, "gmsh")[: rows.shape[1]], rows))
-        elif kind == "tetra":
-            volumes.append(Cells(kind, tetra_lattice(n, "gmsh"), rows))
-        else:
-            volumes.append(Cells(kind, hexahedron_lattice(n)[: rows.shape[1]], rows))
+        lattice = _lattice(kind, n)[: rows.shape[1]]
+        found = {}
+        for name, view in named.items():
+            own = view.on_cells(numbers, lattice, rows, at_nodes.get(name, tags))
+            if own is not None:
+                found[name] = own
+        into = volumes if kind in VOLUMES else surfaces
+        into.append(Cells(kind, lattice, rows, fields=found))
     net_points = homogeneous(points)
+    if named:
+        surfaces = _better(surfaces, volumes)
     for cells in surfaces:
         source = collector.report.faces + np.arange(len(cells.nodes))
         add_cells(collector, cells, net_points, source)

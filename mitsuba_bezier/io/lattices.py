@@ -2,7 +2,8 @@
 
 A lattice is an integer array with one row a node, in the order of the file: barycentric
 coordinates that sum to the order for triangles and tetrahedra, ``0 .. n`` along each axis for
-quadrilaterals and hexahedra.
+quadrilaterals and hexahedra; of wedges barycentric coordinates and a height, of pyramids ``i`` and
+``j`` from 0 to ``n - k`` at height ``k``.
 
 Sources: the Gmsh reference manual, "Node ordering"; vtkHigherOrderTriangle,
 vtkHigherOrderQuadrilateral and vtkHigherOrderTetra of VTK.
@@ -15,7 +16,14 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["hexahedron_lattice", "quad_lattice", "tetra_lattice", "triangle_lattice"]
+__all__ = [
+    "hexahedron_lattice",
+    "pyramid_lattice",
+    "quad_lattice",
+    "tetra_lattice",
+    "triangle_lattice",
+    "wedge_lattice",
+]
 
 
 def _frozen(rows: list[Any]) -> np.ndarray:
@@ -118,3 +126,31 @@ def hexahedron_lattice(n: int) -> np.ndarray:
             rows += (n * corners[a] + along).tolist()
         rows += (hexahedron_lattice(n - 2) + 1).tolist()
     return _frozen(rows)
+
+
+def _with_middles(
+    corners: np.ndarray, edges: tuple[tuple[int, int], ...], faces: tuple[tuple[int, ...], ...]
+) -> np.ndarray:
+    """Return corners, and the middles of edges and faces."""
+    middles = [corners[list(part)].sum(axis=0) // len(part) for part in (*edges, *faces)]
+    return _frozen(np.concatenate([corners, middles]).tolist())
+
+
+@cache
+def wedge_lattice(n: int) -> np.ndarray:
+    """Return the nodes of Gmsh's prism of order 1 or 2; 15 of the 18 make the incomplete one."""
+    corners = np.array([(*row, t) for t in (0, n) for row in (n * np.eye(3, dtype=int)).tolist()])
+    if n == 1:
+        return _frozen(corners.tolist())
+    edges = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (3, 5), (4, 5))
+    return _with_middles(corners, edges, ((0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)))
+
+
+@cache
+def pyramid_lattice(n: int) -> np.ndarray:
+    """Return the nodes of Gmsh's pyramid of order 1 or 2; 13 of the 14 make the incomplete one."""
+    corners = n * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1)])
+    if n == 1:
+        return _frozen(corners.tolist())
+    edges = ((0, 1), (0, 3), (0, 4), (1, 2), (1, 4), (2, 3), (2, 4), (3, 4))
+    return _with_middles(corners, edges, ((0, 1, 2, 3),))

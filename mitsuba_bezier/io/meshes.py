@@ -14,13 +14,14 @@ import numpy as np
 
 from .._files import temporary_folder, write_file
 from ..errors import FileFormatError
-from .cells import Cells, add_cells, add_surface
+from .cells import Cells, add_cells
 from .files import damaged, read_text
 from .isolated import read_isolated
 from .lattices import hexahedron_lattice, quad_lattice, tetra_lattice, triangle_lattice
 from .mesh_text import prepared
 from .report import Collector, Model
 from .tensor_nets import homogeneous
+from .volume_faces import add_surface
 
 __all__ = ["import_library", "read", "read_here"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..geometry import bernstein
+from ..geometry.fields import BezierField, nearest_names
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 from .limits import check_control_points
@@ -118,6 +119,11 @@ class Model:
         What the file tells apart; one part if it tells nothing.
     unit : str
         The unit of its lengths, such as ``mm``; empty if the file does not tell.
+    fields : dict of BezierField
+        What the file tells of its points and cells, on the patches of `triangles`, in their order.
+    edges : (P, 3) bool array or None
+        For these patches, whether the sides opposite of the corners A, B, C are sides of a face of
+        the file; quadrilaterals are two patches, and what is between them is none. None: all are.
     """
 
     def __init__(
@@ -128,9 +134,13 @@ class Model:
         trims: list[Trims | None] | None = None,
         parts: list[Part] | None = None,
         unit: str = "",
+        fields: dict[str, BezierField] | None = None,
+        edges: np.ndarray | None = None,
     ) -> None:
         self.report = Report("", "") if report is None else report
         self.unit = unit
+        self.fields = {} if fields is None else fields
+        self.edges = edges
         self._flat = None if groups is None else (groups, sources or [], trims or [])
         self._parts = parts
 
@@ -166,6 +176,25 @@ class Model:
             self._parts = [Part(name, groups, sources, list(trims))]
         return self._parts
 
+    def field(self, name: str) -> BezierField:
+        """Return the field of a name.
+
+        Raises
+        ------
+        FileFormatError
+            If there is none; the message offers the nearest names.
+        """
+        if name in self.fields:
+            return self.fields[name]
+        known = list(self.fields)
+        near = ", ".join(repr(k) for k in nearest_names(name, known))
+        more = f" ({len(known)} in all)" if len(known) > 5 else ""
+        raise FileFormatError.expected(
+            f"field of {self.report.path}",
+            f"{near}{more}" if known else "a file with fields; this one has none",
+            repr(name),
+        )
+
     def triangles(self) -> BezierTriangles:
         """Return all patches elevated to the highest degree, in the order of the file."""
         return self.trimmed()[0]
@@ -196,9 +225,11 @@ class Collector:
         self._nets: dict[int, list[np.ndarray]] = {}
         self._sources: dict[int, list[np.ndarray]] = {}
         self._trims: dict[int, list[Trims | None]] = {}
+        self._fields: dict[int, list[Mapping[str, BezierField]]] = {}
+        self._edges: dict[int, list[np.ndarray | None]] = {}
 
-    def expect(self, points: int) -> None:
-        """Announce this many control points before they are made.
+    def expect(self, points: int, what: str = "") -> None:
+        """Announce this many control points, or as much for field `what`, before they are made.
 
         Raises
         ------
@@ -206,11 +237,23 @@ class Collector:
             If all of them take more memory than a file of this size may.
         """
         self._points += points
-        check_control_points(self.report.path, self._points)
+        check_control_points(self.report.path, self._points, f"field {what!r}" if what else "")
 
-    def add(self, nets: np.ndarray, sources: np.ndarray | int, trims: Trims | None = None) -> None:
-        """Add nets ``(P, K, 4)`` that come from the faces `sources` (one number, or ``(P,)``)."""
+    def add(
+        self,
+        nets: np.ndarray,
+        sources: np.ndarray | int,
+        trims: Trims | None = None,
+        fields: Mapping[str, BezierField] | None = None,
+        edges: np.ndarray | None = None,
+    ) -> None:
+        """Add nets ``(P, K, 4)`` that come from the faces `sources` (one number, or ``(P,)``).
+
+        `fields` are on these patches; `edges` are those of `Model`.
+        """
         key = nets.shape[1]
+        self._fields.setdefault(key, []).append(fields or {})
+        self._edges.setdefault(key, []).append(edges)
         self._trims.setdefault(key, []).append(trims)
         self._nets.setdefault(key, []).append(nets)
         self._sources.setdefault(key, []).append(np.broadcast_to(sources, len(nets)))
@@ -240,7 +283,49 @@ class Collector:
             sources.append(where)
             trims.append(self._joined_trims(key, order))
         some = any(t is not None for t in trims)
-        return Model(groups, sources, self.report, trims if some else [])
+        model = Model(groups, sources, self.report, trims if some else [])
+        order = np.argsort(
+            np.concatenate([s for key in sorted(self._nets) for s in self._sources[key]]),
+            kind="stable",
+        )
+        parts = [part for key in sorted(self._nets) for part in self._fields[key]]
+        counts = [len(nets) for key in sorted(self._nets) for nets in self._nets[key]]
+        names = dict.fromkeys(name for part in parts for name in part)
+        for name in names:
+            if (joined := self._joined_field(name, parts, counts)) is not None:
+                model.fields[name] = joined[order]
+        edges = [part for key in sorted(self._nets) for part in self._edges[key]]
+        if any(part is not None for part in edges):
+            whole = [np.ones((n, 3), bool) if e is None else e for e, n in zip(edges, counts)]
+            model.edges = np.concatenate(whole)[order]
+        return model
+
+    def _joined_field(
+        self, name: str, parts: list[Mapping[str, BezierField]], counts: list[int]
+    ) -> BezierField | None:
+        """Return a field on all patches, NaN where it has no values."""
+        found = [part[name] for part in parts if name in part]
+        width = {f.components for f in found}
+        if len(width) > 1:
+            self.report.notes.append(
+                f"field {name!r} is left out: it has {sorted(width)} components in different parts"
+            )
+            return None
+        top = max(f.degree for f in found)
+        size, rational = bernstein.size(top), any(f.weights is not None for f in found)
+        ordinates, weights = [], []
+        for part, count in zip(parts, counts):
+            if name in part:
+                own = part[name].elevate(top)
+                ordinates.append(own.ordinates)
+                weights.append(np.ones((count, size)) if own.weights is None else own.weights)
+            else:
+                ordinates.append(np.full((count, size, width.copy().pop()), np.nan))
+                weights.append(np.ones((count, size)))
+        joined = np.concatenate(ordinates)
+        return BezierField(
+            name, joined, np.concatenate(weights) if rational else None, found[0].unit
+        )
 
     def _joined_trims(self, key: int, order: np.ndarray) -> Trims | None:
         parts = self._trims[key]

@@ -107,23 +107,21 @@ def test_unflagged_weights_are_named_and_not_used(tmp_path):
 
 
 @pytest.mark.parametrize("flag", ["", ' RationalWeights="RationalWeights"'])
-def test_tetrahedra_are_no_bezier_triangles(tmp_path, flag):
-    with pytest.raises(FileFormatError, match=r"expected Bézier triangles.*VTK_TETRA"):
-        io.load(put(tmp_path, hand(flag, kind="10")))
+def test_polyhedra_are_no_bezier_triangles(tmp_path, flag):
+    with pytest.raises(FileFormatError, match=r"expected Bézier triangles.*VTK_POLYHEDRON"):
+        io.load(put(tmp_path, hand(flag, kind="42")))
 
 
 def test_other_cells_are_reported(tmp_path):
     text = hand().replace('NumberOfCells="1"', 'NumberOfCells="3"')
-    text = text.replace(">6<", ">6 9 10<").replace("5</", "5 0 1 2 0</").replace(">76", ">76 5 1")
+    text = text.replace(">6<", ">6 9 10<").replace("5</", "5 0 1 2 0</").replace(">76", ">76 42 1")
     path = put(tmp_path, text)
-    with pytest.warns(FormatWarning, match="1 of 3 faces converted.*VTK_VERTEX.*VTK_TRIANGLE"):
+    with pytest.warns(FormatWarning, match="1 of 2 faces converted.*VTK_POLYHEDRON"):
         assert len(io.load(path)) == 1
     report = io.read(path).report
-    assert (report.faces, report.converted) == (3, 1)
-    assert [(r.face, r.count) for r in report.refused] == [
-        ("cells of type 1", 1),
-        ("cells of type 5", 1),
-    ]
+    assert (report.faces, report.converted) == (2, 1)
+    assert [(r.face, r.count) for r in report.refused] == [("cells of type 42", 1)]
+    assert report.remarks == ["1 cells of type 1 (VTK_VERTEX: no surface)"]
 
 
 def test_mixed_degrees(tmp_path):

@@ -82,7 +82,7 @@ def test_every_section_of_the_lecture_has_a_call_a_check_and_a_picture():
 
 def test_the_table_of_formats_is_that_of_the_readers():
     from mitsuba_bezier.io import _READERS
-    from mitsuba_bezier.io.vtk.reader import _READ
+    from mitsuba_bezier.io.vtk.cell_types import READ
 
     text = (DOCS / "formats.md").read_text(encoding="utf-8")
     table = text[text.index("| suffix |") : text.index("Text may be")]
@@ -92,6 +92,7 @@ def test_the_table_of_formats_is_that_of_the_readers():
         extras = "".join(re.findall(r"\[\w+\]", need))
         needs |= dict.fromkeys(re.findall(r"`(\.\w+)`", suffixes), extras)
         if "`.vtu`" in suffixes:
-            assert {int(n) for n in re.findall(r"\b\d\d\b", what)} == set(_READ)
+            types = " ".join(re.findall(r"\(([^)]*)\)", what))
+            assert {int(n) for n in re.findall(r"\d+", types)} == set(READ)
     extra = {"meshes": "[mesh]", "opencascade": "[cad]", "rhino": "[rhino]"}
     assert needs == {key: extra.get(name.split(".")[-2], "") for key, name in _READERS.items()}

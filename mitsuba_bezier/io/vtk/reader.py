@@ -17,24 +17,22 @@ Sources: "VTK XML Formats" (see `vtk_xml`), vtkHigherOrderTriangle for the order
 
 from __future__ import annotations
 
-from math import comb, isqrt
+import re
 from os import PathLike
 from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import GeometryError
-from ...geometry import bernstein
 from ...geometry.trims import Trims
-from ..cells import MAX_LAGRANGE, Cells, add_cells, add_surface
 from ..files import damaged
-from ..lattices import quad_lattice, tetra_lattice, triangle_lattice
 from ..report import Collector, Model
 from ..trim_arrays import unpacked_trims
 from .ghosts import ghost_cells, hidden_points
+from .grid import Array, Grid, add_grid, needed, note_ghosts
 from .xml import Element, VtkXml
 
-__all__ = ["HOMOGENEOUS", "TRIM_ARRAYS", "read"]
+__all__ = ["HOMOGENEOUS", "TRIM_ARRAYS", "finished", "read", "read_arrays", "read_pieces"]
 
 #: Name of the point array of homogeneous control points.
 HOMOGENEOUS = "HomogeneousPoints"
@@ -57,78 +55,22 @@ TRIM_ARRAYS = {
     "points": TrimArray("TrimPoints", 3, "number", True),
 }
 
-#: Highest degree of triangles, read or made; VTK itself stops at 10 for most cells.
-MAX_DEGREE = 40
-
-#: Cell types that are read: number to (kind, are the points Bézier points).
-_READ = {
-    22: ("triangle", False),
-    69: ("triangle", False),
-    76: ("triangle", True),
-    23: ("quad", False),
-    28: ("quad", False),
-    70: ("quad", False),
-    77: ("quad", True),
-    24: ("tetra", False),
-    71: ("tetra", False),
-    78: ("tetra", True),
-}
-
-#: The cells that can be trimmed.
-_TRIMMED = 76
-
-#: Names of VTK's cell types.
-_CELL_NAMES = {
-    1: "VERTEX",
-    2: "POLY_VERTEX",
-    3: "LINE",
-    4: "POLY_LINE",
-    5: "TRIANGLE",
-    6: "TRIANGLE_STRIP",
-    7: "POLYGON",
-    8: "PIXEL",
-    9: "QUAD",
-    10: "TETRA",
-    11: "VOXEL",
-    12: "HEXAHEDRON",
-    13: "WEDGE",
-    14: "PYRAMID",
-    21: "QUADRATIC_EDGE",
-    22: "QUADRATIC_TRIANGLE",
-    23: "QUADRATIC_QUAD",
-    24: "QUADRATIC_TETRA",
-    25: "QUADRATIC_HEXAHEDRON",
-    26: "QUADRATIC_WEDGE",
-    28: "BIQUADRATIC_QUAD",
-    29: "TRIQUADRATIC_HEXAHEDRON",
-    34: "BIQUADRATIC_TRIANGLE",
-    42: "POLYHEDRON",
-    68: "LAGRANGE_CURVE",
-    69: "LAGRANGE_TRIANGLE",
-    70: "LAGRANGE_QUADRILATERAL",
-    71: "LAGRANGE_TETRAHEDRON",
-    72: "LAGRANGE_HEXAHEDRON",
-    73: "LAGRANGE_WEDGE",
-    74: "LAGRANGE_PYRAMID",
-    75: "BEZIER_CURVE",
-    76: "BEZIER_TRIANGLE",
-    77: "BEZIER_QUADRILATERAL",
-    78: "BEZIER_TETRAHEDRON",
-    79: "BEZIER_HEXAHEDRON",
-    80: "BEZIER_WEDGE",
-    81: "BEZIER_PYRAMID",
-}
+#: Point and cell arrays that are no fields.
+_NO_FIELDS = {HOMOGENEOUS, "vtkGhostType", "vtkGhostLevels"}
 
 
-def read(path: str | PathLike[str], trims: bool = False) -> Model:
+#: The version of files since which edges of hexahedra of high order go round.
+_NEW_ORDER = (2, 1)
+
+
+def read(path: str | PathLike[str], trims: bool = False, fields: bool = False) -> Model:
     """Read a ``.vtu`` file.
 
-    Bézier triangles are taken as they are. Bézier quadrilaterals, Lagrange and quadratic
-    triangles and quadrilaterals are converted, as is the surface of Bézier, Lagrange and
-    quadratic tetrahedra. Other cells are counted in the report as refused; so are linear ones,
-    which make a plain mesh that Mitsuba renders itself.
+    Bézier triangles are taken as they are. All other cells of `cell_types.READ` are converted, of
+    volume cells their surface; so are convex polygons and strips of triangles. What is left is
+    counted in the report as refused.
 
-    Cells that VTK does not show (`vtu_ghosts`) are left out, and noted.
+    Cells that VTK does not show (`ghosts`) are left out, and noted.
 
     A `RationalWeights` array that is not flagged is not used, as in VTK, and noted in the report.
 
@@ -138,12 +80,23 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
         The file.
     trims : bool
         Whether patches may have trims; if not, trimmed patches are returned whole, with a note.
+    fields : bool
+        Whether point and cell data are read.
 
     Raises
     ------
     FileFormatError
         If the file is missing or damaged, or holds no such cell.
     """
+    collector = Collector(path, "vtu")
+    read_pieces(path, collector, 0, trims, fields)
+    return finished(path, collector)
+
+
+def read_pieces(
+    path: str | PathLike[str], collector: Collector, first: int, trims: bool, fields: bool
+) -> int:
+    """Read all pieces of a ``.vtu`` file; return the number of the cell that follows."""
     xml = VtkXml(path)
     grid = xml.root.first("UnstructuredGrid")
     if xml.root.attributes.get("type") != "UnstructuredGrid" or grid is None:
@@ -153,17 +106,29 @@ def read(path: str | PathLike[str], trims: bool = False) -> Model:
             repr(xml.root.attributes.get("type")),
             line=xml.root.line,
         )
-    collector = Collector(path, "vtu")
-    first = 0
     field_data = grid.first("FieldData")
     for piece in grid.all("Piece"):
-        first = _read_piece(xml, piece, collector, first, field_data if trims else None)
+        first = _read_piece(xml, piece, collector, first, field_data if trims else None, fields)
     if not trims and _named(field_data, "points") is not None:
         collector.report.notes.append("trims are not used: patches are returned whole")
+    own = {array.name for array in TRIM_ARRAYS.values()}
+    others = [e.attributes.get("Name", "") for e in _arrays(field_data)]
+    if told := [repr(name[:40]) for name in others if name not in own]:
+        collector.report.remarks.append(f"field data that are not used: {', '.join(told[:20])}")
+    return first
+
+
+def finished(path: str | PathLike[str], collector: Collector) -> Model:
+    """Return the model of a file of VTK."""
     ghosts = "only ghost cells" if any("ghost" in n for n in collector.report.notes) else "none"
     return collector.model(
-        lambda: damaged(path, "Bézier triangles (cells of type 76)", f"{ghosts} in this file")
-    )
+        lambda: damaged(path, "Bézier triangles (cells of type 76) or other surfaces",
+                        f"{ghosts} in this file")
+    )  # fmt: skip
+
+
+def _arrays(data: Element | None) -> list[Element]:
+    return [*data.all("DataArray"), *data.all("Array")] if data is not None else []
 
 
 def _child(xml: VtkXml, parent: Element, tag: str) -> Element:
@@ -216,7 +181,12 @@ def _piece_trims(
 
 
 def _read_piece(
-    xml: VtkXml, piece: Element, collector: Collector, first: int, field_data: Element | None
+    xml: VtkXml,
+    piece: Element,
+    collector: Collector,
+    first: int,
+    field_data: Element | None,
+    fields: bool,
 ) -> int:
     """Convert the cells of a piece; `first` is the number of its first cell.
 
@@ -232,130 +202,94 @@ def _read_piece(
     copies, hidden = ghost_cells(xml, piece, cells_count)
     cells = _child(xml, piece, "Cells")
     types = xml.array(_cell_array(xml, cells, "types"), cells_count, "integer")
-    line = cells.line
     offsets_element = _cell_array(xml, cells, "offsets")
     offsets = np.concatenate([[0], xml.array(offsets_element, cells_count, "integer")])
     sizes = np.diff(offsets)
     if (sizes < 0).any() or offsets[-1] > 2**62:
         cell = int(np.argmax(sizes < 0))
-        raise damaged(xml.path, "offsets that grow", f"less at cell {cell}", line=line)
-    known = np.isin(types, list(_READ))
-    shown = ~(copies | hidden)
-    for kind, count in zip(*np.unique(types[~known & shown], return_counts=True)):
-        name = _CELL_NAMES.get(int(kind), "?")
-        reason = "linear" if kind < 20 else "not supported"
-        collector.report.refuse(f"cells of type {kind}", f"VTK_{name}: {reason}", int(count))
-    volume = np.isin(types, [n for n, (kind, _bezier) in _READ.items() if kind == "tetra"])
-    chosen = known & ~hidden & (volume | ~copies)
-    ghosts = int((~shown).sum())
-    if not chosen.any():
-        _note_ghosts(collector, ghosts)
-        return first + cells_count
-    connectivity = xml.array(_cell_array(xml, cells, "connectivity"), int(offsets[-1]), "integer")
-    homogeneous = _points(xml, piece, points_count, collector)
-    plain = np.concatenate([homogeneous.points, np.ones((points_count, 1))], axis=1)
-    degrees = _degrees(xml, piece, cells_count)
-    trims = _piece_trims(xml, piece, cells_count, field_data)
-    no_points = hidden_points(xml, piece, points_count)
-    keys = np.column_stack([types, sizes, degrees])
-    surfaces: list[Cells] = []
-    volumes: list[Cells] = []
-    found, inverse = np.unique(keys[chosen], axis=0, return_inverse=True)
-    order = np.argsort(inverse.ravel(), kind="stable")
-    ends = np.searchsorted(inverse.ravel()[order], np.arange(1, len(found)))
-    for key, group in zip(found, np.split(np.flatnonzero(chosen)[order], ends)):
-        number, size, p, q = key.tolist()
-        kind, is_bezier = _READ[number]
-        most = MAX_DEGREE if is_bezier else MAX_LAGRANGE
-        degree = _degree(kind, size, p, q)
-        if degree is None:
-            raise damaged(
-                xml.path,
-                f"a number of points that fits VTK_{_CELL_NAMES[number]}",
-                f"{size} points in cell {group[0]}",
-                line=line,
-            )
-        if max(degree) > most or (kind == "quad" and sum(degree) > MAX_DEGREE):
-            reason = f"degree above {most} (the sum of both above {MAX_DEGREE}): not supported"
-            seen = int((~copies[group]).sum())
-            collector.report.refuse(f"cells of type {number}, degree {max(degree)}", reason, seen)
-            continue
-        lattice = _lattice(kind, size, degree)
-        index = connectivity[offsets[group][:, None] + np.arange(size)]
-        bad = ((index < 0) | (index >= points_count)).any(axis=1)
-        if bad.any():
-            cell = int(np.argmax(bad))
-            raise damaged(
-                xml.path,
-                f"point numbers from 0 to {points_count - 1}",
-                f"{index[cell].tolist()} in cell {group[cell]}",
-                line=line,
-            )
-        seen = ~no_points[index].any(axis=1)
-        if not seen.all():
-            ghosts += int((~seen & ~copies[group]).sum())
-            group, index = group[seen], index[seen]
-        part = Cells(kind, lattice, index, is_bezier, copies[group])
-        if not len(group):
-            continue
-        if kind == "tetra":
-            volumes.append(part)
-        else:
-            surfaces.append(part)
-            net = homogeneous.net if is_bezier else plain
-            own = trims[group] if trims is not None and number == _TRIMMED else None
-            add_cells(collector, part, net, first + group, own)
-    _note_ghosts(collector, ghosts)
-    for is_bezier in (False, True):
-        some = [v for v in volumes if v.bezier == is_bezier]
-        net = homogeneous.net if is_bezier else plain
-        add_surface(collector, some, surfaces, net, first + cells_count)
+        raise damaged(xml.path, "offsets that grow", f"less at cell {cell}", line=cells.line)
+    some = needed(types, copies, hidden).any()
+    size = int(offsets[-1]) if some else 0
+    points = _Net(np.zeros((0, 3)), np.zeros((0, 4)), False)
+    connectivity = np.zeros(0, np.int64)
+    if some:
+        connectivity = xml.array(_cell_array(xml, cells, "connectivity"), size, "integer")
+        points = _points(xml, piece, points_count, collector)
+    grid = Grid(
+        points.points,
+        points.net,
+        types,
+        offsets,
+        connectivity,
+        _degrees(xml, piece, cells_count),
+        copies,
+        hidden,
+        hidden_points(xml, piece, points_count),
+        _piece_trims(xml, piece, cells_count, field_data),
+        rational=points.rational,
+        old_order=_before_9_1(xml),
+    )
+    if fields and some:
+        data = piece.first("PointData")
+        flagged = data.attributes.get("RationalWeights") if data is not None else None
+        skip = {*_NO_FIELDS, flagged, *(a.name for a in TRIM_ARRAYS.values())}
+        grid.point_arrays = read_arrays(xml, data, points_count, skip, collector)
+        grid.cell_arrays = read_arrays(xml, piece.first("CellData"), cells_count, skip, collector)
+    ghosts = add_grid(
+        collector, grid, first, lambda expected, got: damaged(xml.path, expected, got,
+                                                              line=cells.line)
+    )  # fmt: skip
+    note_ghosts(collector, ghosts)
     return first + cells_count
 
 
-def _note_ghosts(collector: Collector, count: int) -> None:
-    if count:
-        collector.report.notes.append(
-            f"{count} ghost cells (vtkGhostType: copies of cells of other pieces, or hidden) are "
-            "left out"
-        )
+def read_arrays(
+    xml: VtkXml, data: Element | None, count: int, skip: set[str | None], collector: Collector
+) -> dict[str, Array]:
+    """Return the arrays of point or cell data, but for those to `skip`."""
+    out: dict[str, Array] = {}
+    degrees = data.attributes.get("HigherOrderDegrees") if data is not None else None
+    for element in _arrays(data):
+        name = element.attributes.get("Name", "")
+        if name in skip or name == degrees:
+            continue
+        if element.tag == "Array" or element.attributes.get("type") in ("String", "Bit"):
+            collector.report.notes.append(f"array {name[:40]!r} is not of numbers: it is not read")
+            continue
+        text = element.attributes.get("NumberOfComponents", "1").strip()
+        if not text.isdecimal() or len(text) > 4 or int(text) < 1:
+            raise damaged(xml.path, "a number of components", repr(text[:40]), line=element.line)
+        values = xml.array(element, int(text) * count).reshape(count, -1).astype(np.float64)
+        unit = next((" ".join("".join(e.texts).split()) for e in element.all("InformationKey")
+                     if e.attributes.get("name") == "UNITS_LABEL"), "")  # fmt: skip
+        out[name] = Array(values, unit, name.startswith("vertex_"))
+    return out
 
 
-def _degree(kind: str, size: int, p: int, q: int) -> tuple[int, int] | None:
-    """Return the degrees of a cell of `size` points; None if their number is not possible."""
-    if kind == "quad":
-        if p < 1 or q < 1:
-            p = q = 2 if size == 8 else isqrt(size) - 1  # 8: without the middle node
-        return (p, q) if p >= 1 and size in ((p + 1) * (q + 1), 8 * (p == q == 2)) else None
-    count = {"triangle": bernstein.size, "tetra": lambda n: comb(n + 3, 3)}[kind]
-    n = next((n for n in range(1, size) if count(n) >= size), 0)
-    return (n, n) if n >= 1 and count(n) == size else None
-
-
-def _lattice(kind: str, size: int, degree: tuple[int, int]) -> np.ndarray:
-    """Return where the points of a cell lie."""
-    if kind == "quad":
-        return quad_lattice(*degree, "vtk")[:size]
-    return triangle_lattice(degree[0]) if kind == "triangle" else tetra_lattice(degree[0], "vtk")
+def _before_9_1(xml: VtkXml) -> bool:
+    """Tell whether hexahedra of high order have the order that VTK had before 9.1."""
+    words = re.fullmatch(r"\s*(\d{1,4})\.(\d{1,4})\s*", xml.root.attributes.get("version", ""))
+    return words is None or (int(words[1]), int(words[2])) < _NEW_ORDER
 
 
 def _degrees(xml: VtkXml, piece: Element, count: int) -> np.ndarray:
-    """Return the degrees (p, q) of quadrilaterals, ``(count, 2)``; 0 where they are not given."""
+    """Return the degrees of cells, ``(count, 3)``; 0 where they are not given."""
     data = piece.first("CellData")
     name = data.attributes.get("HigherOrderDegrees") if data is not None else None
     for element in data.all("DataArray") if data is not None and name else ():
         if element.attributes.get("Name") == name:
             if element.attributes.get("NumberOfComponents") != "3":
                 raise damaged(xml.path, f"3 components in {name!r}", "others", line=element.line)
-            values = xml.array(element, 3 * count).reshape(-1, 3)[:, :2]
-            good = (values >= 0) & (values <= 1000)  # what is higher is refused below
+            values = xml.array(element, 3 * count).reshape(-1, 3)
+            good = (values >= 0) & (values <= 1000)  # what is higher is refused later
             return np.where(good, values, 0).astype(int)
-    return np.zeros((count, 2), int)
+    return np.zeros((count, 3), int)
 
 
 class _Net(NamedTuple):
     points: np.ndarray  # (N, 3), as VTK sees them
     net: np.ndarray  # (N, 4), homogeneous
+    rational: bool  # they have weights
 
 
 def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> _Net:
@@ -386,7 +320,7 @@ def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> _N
         )
     out = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
     if homogeneous is None:
-        return _Net(points, out)
+        return _Net(points, out, bool(flagged))
     components = homogeneous.attributes.get("NumberOfComponents", "1")
     if components != "4":
         raise damaged(
@@ -406,4 +340,4 @@ def _points(xml: VtkXml, piece: Element, count: int, collector: Collector) -> _N
             "to use the points and weights",
             line=homogeneous.line,
         )
-    return _Net(points, exact)
+    return _Net(points, exact, bool((exact[:, 3] != 1).any()))

@@ -79,7 +79,7 @@ def _parse(path: str | PathLike[str], xml: bytes) -> Element:
         stack.pop()
 
     def text(data: str) -> None:
-        if stack and stack[-1].tag == "DataArray":
+        if stack and stack[-1].tag in ("DataArray", "InformationKey"):
             stack[-1].texts.append(data)
 
     def doctype(*_args: object) -> None:
