@@ -163,7 +163,7 @@ def trivariate(n: int, uvw: Any) -> np.ndarray:
     if x.shape[-1] == 2:
         return basis(n, x)
     ijk = multi_indices(n)
-    return _multinomials(n) * np.prod(x[..., None, :] ** ijk, axis=-1)
+    return multinomials(n) * np.prod(x[..., None, :] ** ijk, axis=-1)
 
 
 def _degree(n: int) -> int:

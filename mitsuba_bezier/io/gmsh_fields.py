@@ -6,14 +6,11 @@ Source: the Gmsh reference manual, "Gmsh file formats".
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from .cells import CellField
-
-if TYPE_CHECKING:
-    from .gmsh import _File
 
 __all__ = ["SECTIONS", "View", "named_views", "read_view"]
 
@@ -99,12 +96,12 @@ class View:
 
 
 def _is_corner(lattice: np.ndarray) -> np.ndarray:
-    """Tell which nodes are corners: the first ones of Gmsh's elements."""
+    """Return a mask of the corners: the first ones of Gmsh's elements."""
     top = lattice.max()
     return ((lattice == 0) | (lattice == top)).all(axis=1)
 
 
-def read_view(file: _File, section: str) -> View:
+def read_view(file: Any, section: str) -> View:
     """Read a section, from after its name; see `gmsh` for `file`.
 
     Raises
@@ -147,7 +144,7 @@ def read_view(file: _File, section: str) -> View:
     return view
 
 
-def _small(file: _File, what: str) -> int:
+def _small(file: Any, what: str) -> int:
     count = file.integer()
     if not 0 <= count <= 100:
         raise file.error(f"a number of {what}", count)

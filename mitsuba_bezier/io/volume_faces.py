@@ -59,7 +59,7 @@ def _turned(kind: str, lattice: np.ndarray) -> np.ndarray:
 
 
 def _handed(cells: Cells, points: np.ndarray) -> np.ndarray:
-    """Tell which cells are left-handed, ``(C,)``.
+    """Return a mask of the left-handed cells, ``(C,)``.
 
     Files order the nodes of wedges both ways, and of other cells sometimes.
     """

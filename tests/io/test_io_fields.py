@@ -150,15 +150,19 @@ def test_faces_are_those_of_vtk(tmp_path, number, size, degrees):
     data = reader.GetOutput().GetPointData().GetArray("a b")
     rng = np.random.default_rng(0)
     whole = (cell, [cell.GetPointId(i) for i in range(size)])
-    spots = []
-    for f in range(cell.GetNumberOfFaces()):
-        face = cell.GetFace(f)
-        ids = [face.GetPointId(i) for i in range(face.GetNumberOfPoints())]
-        spots += [(face, ids, (*rs, 0.0)) for rs in rng.dirichlet([1, 1, 1], 4)[:, :2]]
-    if number == 80:  # VTK 9.7 gives faces of rational wedges the weights of other points
-        sides = ((0.3, 0.2, 0), (0.3, 0.2, 1), (0.3, 0, 0.4), (0, 0.3, 0.4), (0.4, 0.6, 0.7))
-        spots = [(*whole, pcoords) for pcoords in sides]
-    for face, ids, pcoords in spots:
+
+    def spots():
+        if number == 80:  # VTK 9.7 gives faces of rational wedges the weights of other points
+            sides = ((0.3, 0.2, 0), (0.3, 0.2, 1), (0.3, 0, 0.4), (0, 0.3, 0.4), (0.4, 0.6, 0.7))
+            yield from ((*whole, pcoords) for pcoords in sides)
+            return
+        for f in range(cell.GetNumberOfFaces()):
+            face = cell.GetFace(f)  # the same object, filled anew
+            ids = [face.GetPointId(i) for i in range(face.GetNumberOfPoints())]
+            for rs in rng.dirichlet([1, 1, 1], 4)[:, :2]:
+                yield face, ids, (*rs, 0.0)
+
+    for face, ids, pcoords in spots():
         x, w = [0.0] * 3, [0.0] * len(ids)
         face.EvaluateLocation(vtk.reference(0), pcoords, x, w)
         value = sum(a * np.array(data.GetTuple(i)) for a, i in zip(w, ids))

@@ -95,7 +95,7 @@ class Grid:
 
 
 def needed(types: np.ndarray, copies: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Tell which cells are converted, or stand before others that are, ``(C,)``."""
+    """Return a mask of cells that are converted, or stand before such, ``(C,)``."""
     known = np.isin(types, [*READ, _STRIP, _POLYGON])
     volume = np.isin(types, [n for n, (kind, _bezier) in READ.items() if kind in VOLUMES])
     return known & ~hidden & (volume | ~copies)

@@ -267,7 +267,7 @@ def read_arrays(
 
 
 def _before_9_1(xml: VtkXml) -> bool:
-    """Tell whether hexahedra of high order have the order that VTK had before 9.1."""
+    """Return whether hexahedra of high order have the order that VTK had before 9.1."""
     words = re.fullmatch(r"\s*(\d{1,4})\.(\d{1,4})\s*", xml.root.attributes.get("version", ""))
     return words is None or (int(words[1]), int(words[2])) < _NEW_ORDER
 
