@@ -24,7 +24,17 @@ __all__ = ["COMMANDS", "main"]
 PROGRAM = "mitsuba-bezier"
 
 #: The subcommands, in the order of ``--help``; each is the module of the same name.
-COMMANDS = ("render", "verify", "compare", "accept", "merge", "convert", "info", "doctor")
+COMMANDS = (
+    "render",
+    "verify",
+    "compare",
+    "accept",
+    "merge",
+    "convert",
+    "info",
+    "conformance",
+    "doctor",
+)
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended, see `_signals`

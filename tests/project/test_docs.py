@@ -9,6 +9,7 @@ import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = (
+    "conformance.md",
     "conventions.md",
     "integrators.md",
     "inverse.md",
@@ -21,6 +22,7 @@ PAGES = (
 )
 #: How many blocks of Python they have at least, so that the pattern still finds them.
 BLOCKS = {
+    "conformance.md": 1,
     "conventions.md": 5,
     "integrators.md": 2,
     "inverse.md": 1,
@@ -53,7 +55,8 @@ def variant():
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_code_blocks_run(page, variant):
+def test_code_blocks_run(page, variant, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # some write files
     path = DOCS / page
     blocks = code_blocks(path.read_text(encoding="utf-8"))
     assert len(blocks) >= BLOCKS[page]
