@@ -24,7 +24,7 @@ ROWS = (
     ("models",),
     ("plugins",),
     ("kernels", "io", "verification"),
-    ("leaves", "oracles"),
+    ("leaves", "oracles", "figures"),
     ("geometry",),
 )
 #: What is drawn below all: single modules.
@@ -41,6 +41,7 @@ COLOURS = {
     "verification": "#efe3f3",
     "leaves": "#fbe9cf",
     "oracles": "#f0f0f0",
+    "figures": "#e3f0ee",
     "geometry": "#fff4c2",
 }
 

@@ -86,6 +86,7 @@ __all__ = [
     "disk",
     "ellipsoid",
     "elliptic_paraboloid",
+    "figures",
     "fit_quadric",
     "fit_quadrics",
     "half_plane",
@@ -152,6 +153,8 @@ _WITH_MITSUBA = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "figures":
+        return import_module(".figures", __name__)
     if name in _WHEN_ASKED:
         return getattr(import_module(f".{_WHEN_ASKED[name]}", __name__), name)
     if name in _WITH_MITSUBA:

@@ -24,6 +24,7 @@ TIERS = {
     "leaves": "unit",
     "models": "unit",
     "io": "files",
+    "figures": "files",
     "kernels": "kernel",
     "plugins": "render",
     "verification": "files",

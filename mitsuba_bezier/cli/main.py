@@ -33,6 +33,7 @@ COMMANDS = (
     "convert",
     "info",
     "conformance",
+    "figure",
     "doctor",
 )
 

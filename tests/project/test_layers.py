@@ -24,6 +24,7 @@ LAYERS = {
     "_runtime": 2,
     "_loading": 2,
     "geometry": 10,
+    "figures": 12,
     "leaves": 15,
     "oracles": 15,
     "io": 20,
@@ -38,6 +39,7 @@ LAYERS = {
 
 FORBIDDEN = {
     "geometry": {"mitsuba", "drjit", "scipy"},
+    "figures": {"mitsuba", "drjit", "scipy"},
     "leaves": {"mitsuba", "drjit", "scipy"},
     "oracles": {"mitsuba", "drjit", "scipy"},
     "kernels": {"mitsuba"},
@@ -134,6 +136,9 @@ F = "from __future__ import annotations\n"
         ("geometry/triangles.py", F + "def save():\n    from ..io import save"),
         ("oracles/a.py", F + "from ..leaves import builder"),  # leans on what it judges
         ("geometry/a.py", F + "from .. import sphere"),  # a name of __init__
+        ("figures/a.py", F + "import mitsuba"),
+        ("figures/a.py", F + "from ..io import load"),
+        ("geometry/a.py", F + "from ..figures import plane"),
         ("kernels/a.py", F + "import mitsuba"),
         ("kernels/a.py", F + "from ..io import load"),
         ("io/a.py", F + "from ..plugins.shape import Shape"),
