@@ -77,10 +77,32 @@ def examine(model: Model) -> dict[str, Any]:
         "refused": [{"face": r.face, "count": r.count, "reason": r.reason} for r in report.refused],
         "notes": report.notes,
         "remarks": remarks,
+        "unit": model.unit,
+        "parts": _parts(model),
         "patches": groups,
         # of the surface, before trims, up to a thousandth; None where it reaches infinity
         "bounds": [[x if np.isfinite(x) else None for x in side.tolist()] for side in (low, high)],
     }
+
+
+def _parts(model: Model) -> list[dict[str, Any]]:
+    """Return what is known of the parts, if the file tells any."""
+    from ..io.parts import srgb
+
+    return [
+        {
+            "name": part.name,
+            "patches": len(part),
+            "faces": part.faces,
+            "places": part.places,
+            "colour": None if part.colour is None else srgb(part.colour),
+            "face_colours": [srgb(colour) for colour in part.paints],
+            "layer": part.layer,
+            "material": part.material,
+            "visible": part.visible,
+        }
+        for part in (model.parts if model.has_parts else [])
+    ]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -107,6 +129,19 @@ def run(args: argparse.Namespace) -> int:
         if group["reach_infinity"]:
             weights += f", {group['reach_infinity']} reach infinity"
         print(f"  patches     {group['patches']} of degree {group['degree']}, {weights}")
+    if found["unit"]:
+        print(f"  unit        {found['unit']}")
+    for part in found["parts"]:
+        words = [part["name"]]
+        if len(part["places"]) > 1:
+            words.append(f"{len(part['places'])} places")
+        words += [part["colour"]] if part["colour"] else []
+        if part["face_colours"]:
+            words.append(f"faces {', '.join(part['face_colours'][:8])}")
+        words += [f"layer {part['layer']}"] if part["layer"] else []
+        words += [f"material {part['material']}"] if part["material"] else []
+        words += [] if part["visible"] else ["hidden"]
+        print(printable(f"  part        {', '.join(words)}"))
     for name, side, infinity in zip(("from", "to"), found["bounds"], ("-infinity", "infinity")):
         numbers = ", ".join(infinity if x is None else f"{x:.6g}" for x in side)
         print(f"  bounds {name:4} ({numbers})")

@@ -19,18 +19,17 @@ from contextlib import suppress
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .._children import python_command
 from .._files import temporary_folder
 from ..errors import BezierError, FileFormatError
-from ..geometry.triangles import BezierTriangles
-from ..geometry.trims import Trims
 from .files import damaged, read_bytes
 from .limits import memory_limit, seconds_limit, too_large, too_slow
-from .report import Model, Refusal, Report
-from .trim_arrays import packed_trims, unpacked_trims
+from .packing import packed_model, unpacked_model
+from .report import Model
 
 __all__ = ["read_isolated"]
 
@@ -204,21 +203,8 @@ def work() -> None:
         os._exit(_TOLD)
     except MemoryError:
         os._exit(_FULL)
-    report = model.report
-    facts = {
-        "path": report.path,
-        "format": report.format,
-        "faces": report.faces,
-        "converted": report.converted,
-        "refused": [[r.face, r.reason, r.count] for r in report.refused],
-        "notes": report.notes,
-        "remarks": report.remarks,
-    }
-    arrays = {f"net{k}": g.control_points for k, g in enumerate(model.groups)}
-    arrays |= {f"source{k}": s for k, s in enumerate(model.sources)}
-    for k, part in enumerate(model.trims):
-        if part is not None:
-            arrays |= {f"trim{k}.{name}": a for name, a in packed_trims(part).items()}
+    facts, packed = packed_model(model)
+    arrays: dict[str, Any] = {**packed}
     partial = Path(out).with_suffix(".partial.npz")
     np.savez(partial, facts=np.array(json.dumps(facts)), **arrays)
     os.replace(partial, out)
@@ -227,14 +213,4 @@ def work() -> None:
 
 def _unpack(path: Path) -> Model:
     with np.load(path, allow_pickle=False) as data:
-        facts = json.loads(str(data["facts"]))
-        facts["refused"] = [Refusal(*item) for item in facts["refused"]]
-        count = sum(name.startswith("net") for name in data.files)
-        groups = [BezierTriangles(data[f"net{k}"]) for k in range(count)]
-        sources = [data[f"source{k}"] for k in range(count)]
-        trims: list[Trims | None] = []
-        for k in range(count):
-            part = {n.removeprefix(f"trim{k}."): data[n] for n in data.files if f"trim{k}." in n}
-            trims.append(unpacked_trims(part) if part else None)
-    some = any(t is not None for t in trims)
-    return Model(groups, sources, Report(**facts), trims if some else [])
+        return unpacked_model(json.loads(str(data["facts"])), dict(data))

@@ -160,7 +160,13 @@ class Model:
         self,
     ) -> tuple[list[BezierTriangles], list[np.ndarray], list[Trims | None]]:
         if self._flat is None:
-            self._flat = flattened(self._parts or [])
+            parts = self._parts or []
+            points = sum(
+                len(part.placements) * sum(g.control_points[..., 0].size for g in part.groups)
+                for part in parts
+            )
+            check_control_points(self.report.path, points)
+            self._flat = flattened(parts)
         return self._flat
 
     @property

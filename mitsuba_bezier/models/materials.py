@@ -58,7 +58,8 @@ def painted(colour: Colour) -> dict[str, Any]:
 
 def plastic(colour: Colour) -> dict[str, Any]:
     """Return smooth plastic; no colour is darker or brighter than things are."""
-    kept: Any = tuple(min(max(x, 0.012), 0.86) for x in colour)
+    factor = min(1.0, 0.7 / max(*colour, 1e-9))
+    kept: Any = tuple(max(x * factor, 0.012) for x in colour)
     return _principled(kept, roughness=0.32, specular=0.5)
 
 

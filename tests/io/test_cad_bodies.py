@@ -8,7 +8,7 @@ from pathlib import Path
 import mitsuba as mi
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 BODIES = [
     "sphere less cylinder, as NURBS",

@@ -31,9 +31,12 @@ from ...geometry.trims import Trims
 from ..files import damaged, plain_copy, read_bytes
 from ..isolated import read_isolated
 from ..nurbs_surface import bezier_points
-from ..report import Collector, Model
+from ..parts import Colour
+from ..parts import Part as IoPart
+from ..report import Collector, Model, Report
 from ..tensor_nets import has_area, tensor_nets
 from ..trims import rectangles, rectilinear
+from .assemblies import Document, Product, products, step_unit
 from .closed_surfaces import BoundaryEdge, leaves_period, unrolled
 from .opencascade_surfaces import (
     angular_axes,
@@ -105,20 +108,14 @@ import_library = _occ
 
 
 def _load(occ: Any, path: Path) -> Any:
-    """Return the shape of a file."""
+    """Return the shape of a file, all parts in one."""
     with plain_copy(path) as plain:
         return _load_plain(occ, path, plain)
 
 
 def _load_plain(occ: Any, path: Path, plain: Path) -> Any:
-    head = read_bytes(plain)[:4096]
+    _check_signature(path, plain)
     suffix = path.suffix.lower()
-    if suffix in _SIGNATURES:
-        signature, name = _SIGNATURES[suffix]
-        if signature not in head:
-            raise damaged(path, f"{name} ({signature.decode()!r} at its start)", "other data")
-    elif len(head) < 80 or head[72:73] not in (b"S", b"C", b"B"):
-        raise damaged(path, "an IGES file ('S' in column 73 of its first line)", "other data")
     shape = occ.shape()
     try:
         if suffix == ".brep":
@@ -126,9 +123,7 @@ def _load_plain(occ: Any, path: Path, plain: Path) -> Any:
         else:
             control = occ.step.STEPControl_Reader if "st" in suffix else occ.iges.IGESControl_Reader
             reader = control()  # which also defines the settings
-            # 3: curves in space before those in (u, v), if a file has both. With the latter the
-            # reader loses seams of closed B-splines, and makes holes into faces
-            occ.settings.SetIVal_s("read.surfacecurve.mode", 3)
+            _settle(occ)
             done = reader.ReadFile(str(plain)) == occ.select.IFSelect_RetDone
             if done:
                 reader.TransferRoots()
@@ -138,6 +133,46 @@ def _load_plain(occ: Any, path: Path, plain: Path) -> Any:
     if not done or shape.IsNull():
         raise damaged(path, "a file that OpenCASCADE can read", "one it refuses")
     return shape
+
+
+def _settle(occ: Any) -> None:
+    """Set how files are read, once a reader has defined the settings."""
+    # 3: curves in space before those in (u, v), if a file has both. With the latter the
+    # reader loses seams of closed B-splines, and makes holes into faces
+    occ.settings.SetIVal_s("read.surfacecurve.mode", 3)
+
+
+def _check_signature(path: Path, plain: Path) -> None:
+    head = read_bytes(plain)[:4096]
+    suffix = path.suffix.lower()
+    if suffix in _SIGNATURES:
+        signature, name = _SIGNATURES[suffix]
+        if signature not in head:
+            raise damaged(path, f"{name} ({signature.decode()!r} at its start)", "other data")
+    elif len(head) < 80 or head[72:73] not in (b"S", b"C", b"B"):
+        raise damaged(path, "an IGES file ('S' in column 73 of its first line)", "other data")
+
+
+def _products(occ: Any, path: Path) -> tuple[list[Product], Document | None, str]:
+    """Return what is in a file, part by part, with the document of its colours, and its unit."""
+    suffix = path.suffix.lower()
+    if suffix == ".brep":
+        return [Product([_load(occ, path)], path.stem, placements=[np.eye(4)])], None, ""
+    iges = "ig" in suffix
+    with plain_copy(path) as plain:
+        _check_signature(path, plain)
+        try:
+            document = Document(plain, iges, lambda: _settle(occ))
+            if document.done:
+                document.transfer()
+        except Exception as error:  # as in `_load_plain`
+            raise damaged(path, "a file that OpenCASCADE can read", error) from None
+        if not document.done:
+            raise damaged(path, "a file that OpenCASCADE can read", "one it refuses")
+        found = products(document, path.stem)
+        if not found:
+            raise damaged(path, "a file that OpenCASCADE can read", "one it refuses")
+        return found, document, step_unit(document.reader, iges)
 
 
 def _explore(occ: Any, shape: Any, kind: Any) -> Iterator[Any]:
@@ -184,11 +219,41 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     path = Path(path)
     read_bytes(path)  # a missing file is told first
     occ = _occ()
-    shape = _load(occ, path)
-    collector = Collector(path, path.suffix.lower()[1:])
-    for number, item in enumerate(_explore(occ, shape, occ.abs.TopAbs_FACE)):
-        face = occ.face(item)
-        name = f"face {number}"
+    found, document, unit = _products(occ, path)
+    report = Report(str(path), path.suffix.lower()[1:])
+    parts = [
+        part
+        for product in found
+        if (part := _part(occ, path, report, product, document, trims, len(found) > 1)) is not None
+    ]
+    if not parts:
+        error = damaged(path, "faces", "none that can be converted")
+        raise FileFormatError(f"{error} ({report.summary()})") if report.refused else error
+    if unit and unit not in ("millimetre", "mm", "millimeter"):
+        report.remarks.append(f"lengths are in {unit} in the file, and in mm here")
+    return Model(report=report, parts=parts, unit="mm" if document is not None else "")
+
+
+def _part(
+    occ: Any,
+    path: Path,
+    report: Report,
+    product: Product,
+    document: Document | None,
+    trims: bool,
+    several: bool,
+) -> IoPart | None:
+    """Convert the faces of a product, once for all places; None if there are none."""
+    collector = Collector(path, report.format)
+    collector.report = report
+    first, times = report.faces, len(product.placements)
+    colours: list[Colour | None] = []  # by face
+    converted = 0
+    for shape, own in _faces(occ, product, document):
+        number = len(colours)
+        colours.append(own)
+        face = occ.face(shape)
+        name = f"face {first + number}" + (f" ({product.name})" if several else "")
         try:
             parts = _with_area(_convert(occ, face, collector, name, trims))
         except (FileFormatError, MemoryError):
@@ -196,15 +261,59 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
         except Exception as error:  # a face like no other must not cost the rest: report it
             text = str(error).splitlines()
             reason = f"{type(error).__name__}: {text[0][:80] if text else ''}"
-            collector.report.refuse(name, f"failed with {reason}")
-            continue
+            parts = f"failed with {reason}"
         if isinstance(parts, str):
-            collector.report.refuse(name, parts)
+            report.refuse(name, parts, times)
             continue
         for nets, part_trims in parts:
             collector.add(nets, number, part_trims)
-        collector.report.accept()
-    return collector.model(lambda: damaged(path, "faces", "none that can be converted"))
+        report.accept(times)
+        converted += 1
+    if not converted:
+        return None
+    model = collector.model(lambda: damaged(path, "faces", "none that can be converted"))
+    paints = list(dict.fromkeys(colour for colour in colours if colour is not None))
+    colour = product.colour
+    if len(paints) == 1 and None not in colours:
+        colour, paints = paints[0], []
+    number_of = {own: k for k, own in enumerate(paints)}
+    codes = np.array([-1 if c is None else number_of.get(c, -1) for c in colours])
+    return IoPart(
+        product.name,
+        model.groups,
+        model.sources,
+        list(model.trims),
+        np.stack(product.placements),
+        list(product.places),
+        colour,
+        paints,
+        [codes[source] for source in model.sources] if paints else [],
+        product.layer,
+        visible=product.visible,
+        faces=len(colours),
+    )
+
+
+def _faces(
+    occ: Any, product: Product, document: Document | None
+) -> Iterator[tuple[Any, Colour | None]]:
+    """Yield the faces of a product with the colours that they, or their solids, have themselves."""
+    for shape in product.shapes:
+        solids: list[tuple[Any, Colour]] = []
+        if document is not None:
+            for kind in (occ.abs.TopAbs_SOLID, occ.abs.TopAbs_SHELL):
+                for body in _explore(occ, shape, kind):
+                    colour = document.face_colour(body)
+                    if colour is not None and not body.IsSame(shape):
+                        solids.append((body, colour))
+        inherited = {
+            face: colour
+            for body, colour in reversed(solids)
+            for face in _explore(occ, body, occ.abs.TopAbs_FACE)
+        }
+        for face in _explore(occ, shape, occ.abs.TopAbs_FACE):
+            own = None if document is None else document.face_colour(face)
+            yield face, inherited.get(face) if own is None else own
 
 
 def _convert(occ: Any, face: Any, collector: Collector, name: str, trims: bool) -> list[Part] | str:

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,9 @@ from ..files import damaged, read_bytes
 from ..isolated import read_isolated
 from ..nurbs import curve_to_bezier
 from ..nurbs_surface import PatchGrid
-from ..report import Collector, Model
+from ..parts import Colour
+from ..parts import Part as IoPart
+from ..report import Collector, Model, Report
 from ..tensor_nets import tensor_nets
 from ..trims import rectangles, rectilinear
 from .closed_surfaces import BoundaryEdge, leaves_period, unrolled
@@ -34,6 +38,20 @@ from .trimmed_patches import closed_boundary, fit_parabolas, trimmed_grid, trimm
 __all__ = ["import_library", "read", "read_here"]
 
 _MAX_DEPTH = 8  # blocks within blocks
+_MAX_PLACES = 1_000_000
+#: Names of units.
+_UNITS = {
+    "None": "",
+    "Unset": "",
+    "CustomUnits": "",
+    "Microns": "um",
+    "Millimeters": "mm",
+    "Centimeters": "cm",
+    "Meters": "m",
+    "Kilometers": "km",
+    "Inches": "inch",
+    "Feet": "foot",
+}
 #: An edge is refused further than that from its surface, in units of the surface's size. Files
 #: have edges at a hundred times their own tolerance, where a fillet meets another.
 _FAR = 1e-2
@@ -56,48 +74,186 @@ def import_library() -> Any:
 _Part = tuple[np.ndarray, Trims | None]
 
 
+#: In place of the name of a block, for what is in none.
+_TOP = ""
+
+
 class _Reader:
+    """Reads the objects of a file, each block once, and where blocks are placed."""
+
     def __init__(
         self, path: str | PathLike[str], library: Any, file: Any, trims: bool = False
     ) -> None:
-        self.library = library
+        self.library, self.path, self.file = library, path, file
         self.trims = trims
-        self.collector = Collector(path, "3dm")
+        self.report = Report(str(path), "3dm")
         self.objects = {str(o.Attributes.Id): o for o in file.Objects}
         self.blocks = {str(d.Id): d for d in file.InstanceDefinitions}
         self.others: dict[str, int] = {}
         self.tolerance = float(file.Settings.ModelAbsoluteTolerance)
         self.off: list[float] = []  # how far edges of faces are from them
+        self.layers = {int(layer.Index): layer for layer in file.Layers}
+        self.materials = list(file.Materials)
+        #: Placements of each block, and their names.
+        self.placements: dict[str, list[tuple[np.ndarray, str]]] = {_TOP: [(np.eye(4), "")]}
+        #: Parts by block, name, layer and whether they are shown.
+        self.parts: dict[tuple[str, str, str, bool], _Gathered] = {}
 
-    def geometry(self, item: Any, name: str, matrix: np.ndarray, depth: int = 0) -> None:
-        """Convert an object, moved by a 4x4 matrix."""
+    # ---------------------------------------------------------------- structure
+
+    def place(self, item: Any, name: str, matrix: np.ndarray, path: str, depth: int = 0) -> None:
+        """Enter the places of a block instance, and of those within."""
+        key = str(item.Geometry.ParentIdefId)
+        block = self.blocks.get(key)
+        if block is None or depth >= _MAX_DEPTH:
+            self.report.refuse(name, "block instance without its definition")
+            return
+        inner = matrix @ np.array(item.Geometry.Xform.ToFloatArray(True)).reshape(4, 4)
+        places = self.placements.setdefault(key, [])
+        if len(places) >= _MAX_PLACES:
+            raise damaged(self.path, f"at most {_MAX_PLACES} instances of a block", "more")
+        here = _clean(item.Attributes.Name) or _clean(block.Name) or name
+        here = f"{path}/{here}" if path else here
+        places.append((inner, here))
+        for number, part in enumerate(self.members(key)):
+            if type(part.Geometry).__name__ == "InstanceReference":
+                self.place(part, f"{name}.{number}", inner, here, depth + 1)
+
+    def members(self, block: str) -> list[Any]:
+        """Return the objects of a block, or those that are in none."""
+        if block == _TOP:
+            return [o for o in self.file.Objects if not o.Attributes.IsInstanceDefinitionObject]
+        keys = self.blocks[block].GetObjectIds()
+        return [self.objects[str(key)] for key in keys if str(key) in self.objects]
+
+    def read(self) -> Model:
+        """Return the model."""
+        for number, item in enumerate(self.members(_TOP)):
+            if type(item.Geometry).__name__ == "InstanceReference":
+                self.place(item, f"object {number}", np.eye(4), "")
+        for block in self.placements:
+            title = f"{_clean(self.blocks[block].Name)} " if block != _TOP else ""
+            for number, item in enumerate(self.members(block)):
+                self.geometry(item, f"{title}object {number}", block)
+        parts = self.finished()
+        if not parts:
+            error = damaged(self.path, "surfaces", "none that can be converted")
+            if self.report.refused:
+                raise FileFormatError(f"{error} ({self.report.summary()})")
+            raise error
+        unit = str(self.file.Settings.ModelUnitSystem).rpartition(".")[2]
+        return Model(report=self.report, parts=parts, unit=_UNITS.get(unit, unit.lower()))
+
+    def finished(self) -> list[IoPart]:
+        """Return the parts that have surfaces."""
+        out: list[IoPart] = []
+        taken: dict[str, int] = {}
+        stem = Path(self.path).stem
+        for (block, name, layer, visible), part in self.parts.items():
+            if not part.converted:
+                continue
+            layers = {key[2] for key in self.parts}
+            own = name or (_clean(self.blocks[block].Name) if block != _TOP else "")
+            own = own or (layer if len(layers) > 1 and layer else stem)
+            taken[own] = taken.get(own, 0) + 1
+            own = own if taken[own] == 1 else f"{own}.{taken[own]}"
+            model = part.collector.model(lambda: damaged(self.path, "surfaces", "none"))
+            paints = list(dict.fromkeys(c for c in part.colours if c is not None))
+            colour = None
+            if len(paints) == 1 and None not in part.colours:
+                colour, paints = paints[0], []
+            codes = np.array([-1 if c is None else paints.index(c) for c in part.colours if paints])
+            places = self.placements[block]
+            out.append(
+                IoPart(
+                    own,
+                    model.groups,
+                    model.sources,
+                    list(model.trims),
+                    np.stack([matrix for matrix, _name in places]),
+                    [f"{place}/{own}" if place else own for _matrix, place in places],
+                    colour,
+                    paints,
+                    [codes[source] for source in model.sources] if paints else [],
+                    layer,
+                    ", ".join(dict.fromkeys(m for m in part.materials if m)),
+                    visible,
+                    len(part.colours),
+                )
+            )
+        return out
+
+    def look(self, attributes: Any) -> tuple[str, bool, Colour | None, str]:
+        """Return layer, visibility, colour and material of an object."""
+        layer = self.layers.get(int(attributes.LayerIndex))
+        name = _clean(layer.FullPath or layer.Name) if layer is not None else ""
+        hidden = str(attributes.Mode).endswith("Hidden") or not attributes.Visible
+        visible = not hidden and (layer is None or self.is_shown(layer))
+        number = int(attributes.MaterialIndex)
+        if str(attributes.MaterialSource).endswith("FromLayer") and layer is not None:
+            number = int(layer.RenderMaterialIndex)
+        if 0 <= number < len(self.materials):
+            material = self.materials[number]
+            colour, title = material.DiffuseColor, _clean(material.Name)
+            if colour[:3] != (0, 0, 0) or title:
+                return name, visible, _linear(colour), title
+        source = str(attributes.ColorSource).rpartition("From")[2]
+        if source == "Object":
+            return name, visible, _linear(attributes.ObjectColor), ""
+        # black, or white by default: colours of lines on the screen
+        if layer is not None and layer.Color[:3] not in ((0, 0, 0), (255, 255, 255)):
+            return name, visible, _linear(layer.Color), ""
+        return name, visible, None, ""
+
+    def is_shown(self, layer: Any) -> bool:
+        """Return whether a layer and those that it is in are shown."""
+        by_id = {str(one.Id): one for one in self.layers.values()}
+        for _ in range(len(by_id)):
+            if not layer.Visible:
+                return False
+            if str(layer.ParentLayerId) not in by_id:
+                return True
+            layer = by_id[str(layer.ParentLayerId)]
+        return True
+
+    # ---------------------------------------------------------------- surfaces
+
+    def geometry(self, thing: Any, name: str, block: str) -> None:
+        """Convert an object of a block."""
+        item = thing.Geometry
         kind = type(item).__name__
         if kind == "InstanceReference":
-            block = self.blocks.get(str(item.ParentIdefId))
-            if block is None or depth >= _MAX_DEPTH:
-                self.collector.report.refuse(name, "block instance without its definition")
-                return
-            inner = matrix @ np.array(item.Xform.ToFloatArray(True)).reshape(4, 4)
-            for number, key in enumerate(block.GetObjectIds()):
-                part = self.objects.get(str(key))
-                if part is not None:
-                    self.geometry(part.Geometry, f"{name}.{number}", inner, depth + 1)
-            return
+            return  # `place` has been there
+        times = len(self.placements[block])
+        layer, visible, colour, material = self.look(thing.Attributes)
+        key = (block, _clean(thing.Attributes.Name), layer, visible)
+        if key not in self.parts:
+            collector = Collector(self.path, "3dm")
+            collector.report = self.report
+            self.parts[key] = _Gathered(collector)
+        part = self.parts[key]
+        part.materials.append(material)
+
+        def add(name: str, convert: Any, *arguments: Any) -> None:
+            part.colours.append(colour)
+            self.add(part, name, times, convert, *arguments)
+
         if kind == "Extrusion":
             item, kind = item.ToBrep(True), "Brep"
         if kind == "Brep":
             for number in range(len(item.Faces)):
                 face = item.Faces[number]
                 convert = partial(_brep_face, told=self.off.append)
-                self.add(f"{name} face {number}", matrix, convert, item, face, self.trims)
+                add(f"{name} face {number}", convert, item, face, self.trims)
         elif kind in ("NurbsSurface", "RevSurface", "PlaneSurface", "Surface", "SumSurface"):
-            self.add(name, matrix, _whole_surface, item)
+            add(name, _whole_surface, item)
         elif kind in ("Mesh", "SubD"):
-            self.collector.report.refuse(name, f"{kind}: no NURBS surface")
+            self.report.refuse(name, f"{kind}: no NURBS surface", times)
         else:
-            self.others[kind] = self.others.get(kind, 0) + 1
+            self.others[kind] = self.others.get(kind, 0) + times
 
-    def add(self, name: str, matrix: np.ndarray, convert: Any, *arguments: Any) -> None:
+    def add(self, part: _Gathered, name: str, times: int, convert: Any, *arguments: Any) -> None:
+        """Convert a face, the last of a part, which stands at so many places."""
         try:
             parts: list[_Part] | str = convert(*arguments)
         except BezierError as error:
@@ -106,12 +262,33 @@ class _Reader:
             # a face like no other must not cost the rest
             parts = f"failed with {type(error).__name__}: {str(error)[:80]}"
         if isinstance(parts, str):
-            self.collector.report.refuse(name, parts)
+            self.report.refuse(name, parts, times)
             return
-        number = self.collector.report.faces
         for nets, part_trims in parts:
-            self.collector.add(nets @ matrix.T, number, part_trims)
-        self.collector.report.accept()
+            part.collector.add(nets, len(part.colours) - 1, part_trims)
+        part.converted += 1
+        self.report.accept(times)
+
+
+@dataclass
+class _Gathered:
+    """What becomes a part: its faces, each with a colour."""
+
+    collector: Collector
+    colours: list[Colour | None] = field(default_factory=list)
+    materials: list[str] = field(default_factory=list)
+    converted: int = 0
+
+
+def _clean(name: Any) -> str:
+    text = "".join(c if c.isprintable() else " " for c in str(name or "")).strip()
+    return text.replace("/", "-")
+
+
+def _linear(colour: Any) -> Colour:
+    x = np.array(colour[:3]) / 255
+    values = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def read(path: str | PathLike[str], trims: bool = False) -> Model:
@@ -152,18 +329,16 @@ def read_here(path: str | PathLike[str], trims: bool = False) -> Model:
     if file is None:
         raise damaged(path, "a file that rhino3dm can read", "one it refuses")
     reader = _Reader(path, library, file, trims)
-    for number, item in enumerate(file.Objects):
-        if not item.Attributes.IsInstanceDefinitionObject:
-            reader.geometry(item.Geometry, f"object {number}", np.eye(4))
+    model = reader.read()
     for kind, count in reader.others.items():
-        reader.collector.report.remarks.append(f"{count} objects of type {kind}, no surfaces")
+        model.report.remarks.append(f"{count} objects of type {kind}, no surfaces")
     far = [off for off in reader.off if off > reader.tolerance > 0]
     if far:
-        reader.collector.report.notes.append(
+        model.report.notes.append(
             f"{len(far)} faces have edges up to {max(far):.2g} from their surface, by the file's "
             f"own tolerance {reader.tolerance:.2g}; their boundaries are the nearest points"
         )
-    return reader.collector.model(lambda: damaged(path, "surfaces", "none that can be converted"))
+    return model
 
 
 def _knots(knots: Any) -> np.ndarray:
