@@ -23,6 +23,11 @@ PARAMETERS = {
         *("control_points", "filename", "to_world", "copies", "copies_filename", "flip_normals"),
         *("trims", "texcoords", "uv", "face_normals", "silhouette_sampling_weight", *_MEDIA),
     ),
+    "bezierfield": (
+        *("ordinates", "weights", "filename", "field", "component", "colormap", "minimum"),
+        *("maximum", "levels", "isolines", "isoline_width", "isoline_color", "edges", "edge_width"),
+        *("edge_color", "world_to_pixel", "texcoords"),
+    ),
     "bezierpath": _PATH,
     "beziervolpath": _PATH,
     "bezieraov": ("aovs", "hide_emitters"),

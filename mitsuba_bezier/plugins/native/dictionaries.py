@@ -16,6 +16,7 @@ import numpy as np
 
 from ... import errors
 from ...errors import NetError
+from ...geometry.fields import BezierField
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
 from ...io.trim_arrays import trims_to_numbers
@@ -24,6 +25,7 @@ from ..frozen import is_bezier
 __all__ = ["install", "shape", "with_tensors"]
 
 SHAPE = "beziertriangle"
+TEXTURE = "bezierfield"
 
 
 def with_tensors(scene: Any) -> Any:
@@ -41,9 +43,16 @@ def with_tensors(scene: Any) -> Any:
     """
     if not isinstance(scene, Mapping):
         return scene
-    ours = scene.get("type") == SHAPE
+    ours = scene.get("type") in (SHAPE, TEXTURE)
     changed: dict[str, Any] = {}
+    if scene.get("type") == TEXTURE and isinstance(field := scene.get("ordinates"), BezierField):
+        changed["ordinates"] = _tensor("ordinates", field.ordinates)
+        scene = {"field": field.name, **scene}
+        if field.weights is not None:
+            changed["weights"] = _tensor("weights", field.weights)
     for key, value in scene.items():
+        if key in changed:
+            continue
         if isinstance(value, Mapping):
             new = with_tensors(value)
         else:
