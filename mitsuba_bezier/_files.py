@@ -23,8 +23,10 @@ from . import _signals
 from .errors import FileFormatError
 
 __all__ = [
+    "Files",
     "check_target",
     "encoded",
+    "free_space",
     "is_same",
     "is_utf8",
     "refuse_inputs",
@@ -32,6 +34,9 @@ __all__ = [
     "write_file",
     "write_files",
 ]
+
+#: Files of one result, with their contents.
+Files = dict[str | os.PathLike[str], bytes | bytearray | memoryview]
 
 #: Temporary files and folders that exist, or are about to; the end by a signal removes them.
 _unfinished: set[str] = set()
@@ -143,7 +148,7 @@ def check_target(
             raise FileFormatError.expected(parameter, "a folder that exists", _shown(folder))
         _try_folder(folder, parameter)
         _check_owner(path, folder, parameter)
-        free = _free(folder)
+        free = free_space(folder)
         if free is not None and free <= size:
             raise FileFormatError.expected(
                 parameter, f"at least {max(size, 1)} bytes of free space", f"{free} in {folder}"
@@ -286,7 +291,7 @@ def _check_owner(path: str, folder: str, parameter: str) -> None:
         )
 
 
-def _free(folder: str) -> int | None:
+def free_space(folder: str) -> int | None:
     """Return the free bytes of a folder's disk, or None where that cannot be told."""
     try:
         found = os.statvfs(folder)

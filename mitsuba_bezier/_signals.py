@@ -27,6 +27,7 @@ _WORDS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminal 
 _MAIN, _UNDO = 0.1, 5.0
 
 _at_end: list[Callable[[], str | None]] = []
+_longer: list[float] = []  # seconds that undoing may take now
 _begun = False
 _ending = threading.Lock()
 _by: int | None = None
@@ -63,15 +64,18 @@ def begin() -> None:
 
 
 @contextmanager
-def at_end(undo: Callable[[], str | None]) -> Iterator[None]:
-    """Call `undo` if a signal ends the process within the block, after those before it.
+def at_end(undo: Callable[[], str | None], seconds: float = 0.0) -> Iterator[None]:
+    """Call `undo` if a signal ends the process within the block, before what was begun before.
 
-    What it returns stands in the line that tells of the end.
+    What it returns stands in the line that tells of the end. It may take `seconds`, if those are
+    more than usual.
     """
     _at_end.append(undo)
+    _longer.append(seconds)
     try:
         yield
     finally:
+        _longer.remove(seconds)
         _at_end.remove(undo)
 
 
@@ -91,9 +95,10 @@ def end(number: int) -> None:
     _by = own
     code = 128 + number
     # a terminal that is stopped, or a disk that is gone, must not hold us
-    threading.Thread(target=_end_late, args=(code,), daemon=True).start()
+    seconds = max([_UNDO, *_longer])
+    threading.Thread(target=_end_late, args=(code, seconds), daemon=True).start()
     words = _WORDS[signal.Signals(number).name]
-    for undo in (end_children, *_at_end):
+    for undo in (end_children, *reversed(_at_end)):
         with suppress(BaseException):
             words += undo() or ""
     with suppress(OSError):
@@ -111,8 +116,8 @@ def end_children() -> None:
                         os.kill(int(child), signal.SIGKILL)
 
 
-def _end_late(code: int) -> None:
-    time.sleep(_UNDO)
+def _end_late(code: int, seconds: float) -> None:
+    time.sleep(seconds)
     os._exit(code)
 
 

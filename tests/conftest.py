@@ -27,6 +27,7 @@ TIERS = {
     "figures": "files",
     "kernels": "kernel",
     "plugins": "render",
+    "rendering": "render",
     "verification": "files",
     "cli": "render",
     "project": "project",

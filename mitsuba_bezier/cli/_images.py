@@ -11,9 +11,10 @@ import numpy as np
 from .._files import check_target, is_utf8
 from .._runtime import import_mitsuba
 from ..errors import BezierError, FileFormatError
+from ..rendering.passes import channels_of
 from ..verification import png
 
-__all__ = ["channels_of", "check_memory", "check_output", "encode_preview"]
+__all__ = ["check_memory", "check_output", "encode_preview"]
 
 #: Memory of a pixel, at the least: Mitsuba's film and its bitmap in float32, exact sums in float64.
 BYTES_PER_PIXEL = 64
@@ -72,35 +73,6 @@ def check_memory(width: int, height: int) -> None:
         )
 
 
-def channels_of(bitmap: Any, half: bool) -> dict[str, np.ndarray]:
-    """Return the channels ``(H, W)`` of a Mitsuba bitmap by name.
-
-    Parameters
-    ----------
-    bitmap : mi.Bitmap
-        The image, with any number of channels.
-    half : bool
-        Colours as 16-bit floats, which Mitsuba's films write by default, instead of 32-bit ones.
-        Other channels always have 32 bits: depths, positions and numbers need them.
-    """
-    pixels = np.array(bitmap)
-    pixels = pixels.reshape(*pixels.shape[:2], -1)
-    channels = {field.name: pixels[..., i] for i, field in enumerate(bitmap.struct_())}
-    if not half:
-        return channels
-    limit = np.finfo(np.float16).max  # a larger pixel would become infinite
-    return {
-        name: np.clip(values, -limit, limit).astype(np.float16) if _is_colour(name) else values
-        for name, values in channels.items()
-    }
-
-
-def _is_colour(name: str) -> bool:
-    """Return whether a channel is a colour: of the film itself, or R, G, B, A of a layer."""
-    layer, _, channel = name.rpartition(".")
-    return channel in ({"R", "G", "B", "A"} if layer else {"R", "G", "B", "A", "X", "Y", "Z"})
-
-
 def encode_preview(bitmap: Any, exposure: float = 0.0) -> bytes | None:
     """Return an 8-bit sRGB PNG of the colour channels, or None if there are none.
 
@@ -114,7 +86,7 @@ def encode_preview(bitmap: Any, exposure: float = 0.0) -> bytes | None:
     mi = import_mitsuba()
     formats = mi.Bitmap.PixelFormat
     if bitmap.pixel_format() == formats.MultiChannel:
-        channels = channels_of(bitmap, half=False)
+        channels = channels_of(bitmap)
         if {"R", "G", "B"} <= set(channels):  # maybe beside others that are in no layer
             bitmap = mi.Bitmap(np.stack([channels[c] for c in "RGB"], axis=-1))
         else:

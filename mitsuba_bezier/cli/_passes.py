@@ -1,142 +1,369 @@
-"""Render a scene in several passes that add up to one image.
+"""Render a loaded scene in passes to its files: kept while they are made, until it is good enough.
 
 The developed passes are averaged by the film's filter weights, pixel by pixel, which gives the
-image of a single long render: plain averages would not, since every pass divides by its own
-weights. The sum is exact (`verification.merge`), so the passes may as well be rendered by several
-processes and merged.
+image of a single long render. The sum is exact (`verification.merge`), so the passes may as well
+be rendered by several runs or machines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import argparse
+import json
+import os
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
-import numpy as np
+from .. import _signals
+from .._files import Files, check_target, refuse_inputs, write_file, write_files
+from ..errors import BezierError, FileFormatError
+from ..rendering import passes as _rendering
+from ..rendering.goal import Goal, shown_time
+from ..rendering.keeper import Keeper
+from ..rendering.picture import Picture, encode_sums, load_sums, machine, sums_path
+from ..rendering.plan import STYLES, make_plan, pass_seed, sampled_pixels
+from ..verification.images import encode_exr, read_image
+from . import _images
+from ._scene import Loaded
+from ._streams import printable
 
-from .._runtime import import_mitsuba
-from ..errors import BezierError
-from ..verification.merge import Accumulator
-from ._images import channels_of
+__all__ = ["Shot", "render"]
 
-__all__ = ["Rendering", "pass_seed", "plan", "render"]
-
-#: Samples of one pass, by backend: the random number generators of a whole pass are in memory at
-#: once, and the progress bar moves between passes; a GPU wants more to be busy. Both are far
-#: below the 2^32 that Mitsuba can number.
-PASS_SAMPLES = {"llvm": 1 << 22, "cuda": 1 << 25}
-MAX_SAMPLES = (1 << 32) - 1
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """A finished image: Mitsuba's bitmap, samples per pixel and seed of each pass, exact sums."""
-
-    bitmap: Any
-    passes: tuple[int, ...]
-    seeds: tuple[int, ...]
-    sums: dict[str, np.ndarray]
-
-    @property
-    def spp(self) -> int:
-        """Samples per pixel in all."""
-        return sum(self.passes)
+#: Samples per pixel where something else is to end the render. Below it products with a float32
+#: are exact.
+NO_END = 10_000_000
+#: Seconds between two lines of progress where there is no terminal.
+LOG_EVERY = 60.0
+#: What tells that two pictures are of one render, whatever their seeds.
+SAME = ("scene", "sensor", "integrator", "rfilter", "variant", "part")
 
 
-def plan(pixels: int, spp: int, variant: str, spp_per_pass: int | None = None) -> list[int]:
-    """Divide `spp` samples per pixel into passes.
+class Shot:
+    """What is to be rendered, and how: scene, sensor, film, passes, and the names of the files.
 
-    The plan depends on the arguments only, never on time or load, so that a render can be
-    repeated.
-
-    Parameters
+    Attributes
     ----------
-    pixels : int
-        Pixels of the film, with the border where the film samples it.
-    spp : int
-        Samples per pixel in all.
-    variant : str
-        The variant: passes of CUDA are larger.
-    spp_per_pass : int, optional
-        Overrides the choice.
-
-    Raises
-    ------
-    BezierError
-        If one pass would have 2^32 samples or more.
-    """
-    if spp_per_pass is None:
-        # a power of two, where pixel numbers are found by a shift and one kernel serves all
-        spp_per_pass = 1 << max(0, (PASS_SAMPLES[variant[:4]] // pixels).bit_length() - 1)
-    size = min(spp, spp_per_pass)
-    if pixels * size > MAX_SAMPLES:
-        raise BezierError.expected(
-            "--spp-per-pass", f"width * height * spp < 2^32 = {1 << 32}", f"{pixels} * {size}"
-        )
-    full, rest = divmod(spp, size)
-    return [size] * full + [rest] * (rest > 0)
-
-
-def pass_seed(seed: int, index: int) -> int:
-    """Return the seed of a pass.
-
-    The first has the seed of the render, so that one pass is what ``mi.render(seed=seed)`` gives.
-    The others are hashed: counting up would give renders of neighbouring seeds the same samples.
-    """
-    if index == 0:
-        return seed
-    return int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
-
-
-def render(
-    scene: Any,
-    sensor: Any,
-    integrator: Any,
-    passes: Sequence[int],
-    seed: int,
-    report: Callable[[int], None],
-    part: tuple[int, int] = (0, 1),
-) -> Rendering:
-    """Render all passes.
-
-    Parameters
-    ----------
-    scene, sensor, integrator
-        Objects of Mitsuba.
-    passes : sequence of int
-        Samples per pixel of each pass, from `plan`. Samplers that need a special number
-        (powers of two, squares) may take more.
-    seed : int
-        Seed of the render.
-    report : callable
-        Called after each pass with its number from 0.
+    plan : Plan
+        The passes.
     part : (int, int)
         Which part of how many, from 0: passes ``part[0]``, ``part[0] + part[1]``, ...
+    identity : dict
+        Header attributes that tell this render from others, whatever its number of samples.
     """
-    mi = import_mitsuba()
-    film, sampler = sensor.film(), sensor.sampler()
-    # a light tracer's film holds the finished estimate of a pass, without weights
-    weighted = not isinstance(integrator, mi.AdjointIntegrator)
-    total = Accumulator()
-    taken, seeds = [], []
-    for index, spp in list(enumerate(passes))[part[0] :: part[1]]:
-        own_seed = pass_seed(seed, index)
-        sampler.set_sample_count(spp)
-        spp = sampler.sample_count()
-        integrator.render(scene, sensor, seed=own_seed, spp=spp)
-        # colours, alpha, weight, layers; first of all, as Dr.Jit lets other threads run while it
-        # waits for this, so that Ctrl-C is answered, but not while it makes a bitmap
-        raw = np.array(film.develop(raw=True))
-        bitmap = film.bitmap()
-        channels, weight = channels_of(bitmap, half=False), None
-        if weighted:
-            layers = len(channels) - film.base_channels_count()
-            weight = raw[..., raw.shape[-1] - layers - 1]
-        total.add(channels, spp, [own_seed], weight)
-        taken.append(spp)
-        seeds.append(own_seed)
-        report(index)
-    pixels = np.array(bitmap, copy=False)  # the bitmap's own memory
-    mean = total.mean()
-    pixels[...] = np.stack(list(mean.values()), axis=-1).reshape(pixels.shape)
-    return Rendering(bitmap, tuple(taken), tuple(seeds), total.sums())
+
+    def __init__(
+        self, args: argparse.Namespace, loaded: Loaded, sensor: Any, variant: str, output: Path
+    ) -> None:
+        self.args, self.loaded, self.sensor = args, loaded, sensor
+        self.variant, self.output = variant, output
+        self.preview, self.sums = output.with_suffix(".png"), sums_path(output)
+        film, sampler = sensor.film(), sensor.sampler()
+        open_end = args.until_noise is not None or args.time is not None
+        if args.part and open_end:
+            raise BezierError.expected("--part", "neither --until-noise nor --time", "both")
+        spp = args.spp or (NO_END if open_end else sampler.sample_count())
+        pixels = sampled_pixels(film)
+        self.plans = {
+            style: make_plan(pixels, spp, variant, args.spp_per_pass, style) for style in STYLES
+        }
+        # samples of other samplers belong together: a small pass would be a worse one
+        usual = "soon" if sampler.class_name() == "IndependentSampler" else "large"
+        self.plan = self.plans[usual if args.until_noise is None else "fine"]
+        self.part = args.part or (0, 1)
+        if self.part[1] > len(self.plan):
+            raise BezierError.expected(
+                "--part",
+                f"at most {len(self.plan)} parts, one a pass (see --spp-per-pass)",
+                self.part[1],
+            )
+        self.half = "component_format = float16" in str(film)
+        self.size = tuple(map(int, film.crop_size()))
+        self.offset = int(film.crop_offset()[0]), int(film.crop_offset()[1])
+        self.full_size = int(film.size()[0]), int(film.size()[1])
+        self.identity: dict[str, str | int] = {
+            "scene": loaded.digest,
+            "sensor": args.sensor,
+            "integrator": loaded.integrator_name,
+            "rfilter": film.rfilter().class_name().removesuffix("Filter").lower(),
+            "variant": variant,
+            "seed": args.seed,
+            "plan": self.plan.kind,
+            "film": "{} x {} at {}, {} of {} x {}".format(
+                *self.size, *self.offset, *self.full_size
+            ),
+        }
+        if args.part:
+            self.identity["part"] = f"{self.part[0] + 1}/{self.part[1]}"
+        self._check_files()
+
+    @property
+    def indices(self) -> range:
+        """Numbers of the passes of this part."""
+        return range(self.part[0], len(self.plan), self.part[1])
+
+    @property
+    def asked(self) -> int:
+        """Samples per pixel that this part is to take in all."""
+        if self.part[1] == 1:
+            return self.plan.spp
+        return sum(self.plan[i] for i in self.indices)
+
+    def _check_files(self) -> None:
+        """Make sure, before any work, that what is rendered can be kept."""
+        for file in (self.output, self.preview, self.sums):
+            refuse_inputs(file, self.loaded.files, "--output")
+        width, height = self.size
+        _images.check_memory(width, height)
+        # ZIP halves a picture, roughly; no render has been seen to become an eighth
+        check_target(self.output, "--output", width * height * 3 * (2 if self.half else 4) // 8)
+        check_target(self.sums, "--output")
+        if self.args.json and self.args.json != "-":
+            check_target(self.args.json, "--json", make_folders=True)
+
+    def attributes(self, picture: Picture, stopped_by: str) -> dict[str, str | int | float]:
+        """Return the header of a picture."""
+        total = picture.total
+        noise = total.noise()
+        found: dict[str, str | int | float] = {
+            "command": shlex.join(self.args.argv),
+            **self.identity,
+            "spp": total.spp,
+            "passes": total.passes,
+            "seeds": " ".join(map(str, total.seeds)),
+            "stopped_by": stopped_by,
+            "render_seconds": picture.seconds,
+            **machine(),
+        }
+        if self.plan.spp < NO_END:
+            found["spp_asked"] = self.asked
+        if noise is not None:
+            found["noise"] = noise
+        if self.args.until_noise is not None:
+            found["noise_asked"] = self.args.until_noise
+        if self.args.part:
+            found["plan"] = f"{self.plan.spp} spp in {self.plan.kind}"
+        else:
+            del found["plan"]
+        del found["film"]  # EXR has windows for that
+        return found
+
+    def encode_picture(self, picture: Picture, stopped_by: str = "") -> Files:
+        """Return the picture's file; no Mitsuba is needed."""
+        channels = picture.total.mean()
+        if self.half:
+            channels = _rendering.halved(channels)
+        if self.args.part:
+            channels |= picture.total.sums()
+        attributes = self.attributes(picture, stopped_by or "not yet")
+        return {self.output: encode_exr(channels, attributes, self.offset, self.full_size)}
+
+    def encode_sums(self, picture: Picture) -> Files:
+        """Return the file of its sums."""
+        if not picture.whole.passes:
+            return {}
+        return {self.sums: encode_sums(picture, self.identity, self.offset, self.full_size)}
+
+    def encode_preview(self, picture: Picture) -> Files:
+        """Return its preview, if it has colours."""
+        bitmap = _rendering.empty_bitmap(self.sensor, self.loaded.integrator)
+        _rendering.fill_bitmap(bitmap, picture.total.mean())
+        png = _images.encode_preview(bitmap, self.args.exposure)
+        return {} if png is None else {self.preview: png}
+
+    def better(self) -> int:
+        """Return the samples of a picture of this render that lies there, 0 if none does."""
+        with suppress(FileFormatError, TypeError, ValueError):
+            if self.output.is_file():
+                found = read_image(self.output).attributes
+                if all(found.get(key) == self.identity.get(key) for key in SAME):
+                    return (
+                        int(found["spp"]) if found.get("part") == self.identity.get("part") else 0
+                    )
+        return 0
+
+
+def render(shot: Shot, say: Callable[[str], None]) -> None:
+    """Render what is not there yet, and write the files."""
+    args, plan = shot.args, shot.plan
+    picture = _begin(shot, say)
+    before = picture.total.spp
+    goal = Goal(args.until_noise, args.time)
+    better = 0 if before else shot.better()
+
+    def shown(state: Picture) -> Files:
+        # a better picture of the same render stays until this one is as good
+        return shot.encode_picture(state) if state.total.spp >= better else {}
+
+    def words(state: Picture) -> str:
+        where = shot.output if state.total.spp >= better else shot.sums
+        amount = f"{state.total.spp} spp"
+        if plan.spp < NO_END:
+            amount = f"{state.total.spp} of {shot.asked} spp"
+        return f"kept {amount} in {printable(str(where))}; the same command goes on"
+
+    keeper = Keeper(
+        shot.encode_sums,
+        shown,
+        lambda state: shot.encode_preview(state) if state.total.spp >= better else {},
+        lambda line: say(f"mitsuba-bezier: {line}"),
+        words,
+        args.save_every,
+    )
+    with (
+        _progress(shot, picture, goal, args.quiet) as (report, stop),
+        _signals.at_end(stop),
+        keeper.at_end(),
+    ):
+        for index in shot.indices:
+            if index in picture.done:
+                continue
+            if picture.done and goal.reached(picture, plan[index]):
+                break
+            started = time.perf_counter()
+            rendered = _rendering.render_pass(
+                shot.loaded.scene,
+                shot.sensor,
+                shot.loaded.integrator,
+                plan[index],
+                pass_seed(args.seed, index),
+            )
+            picture.add(index, rendered)
+            seconds = time.perf_counter() - started
+            picture.seconds += seconds
+            if index != shot.indices[0]:
+                goal.measured(plan[index], seconds)
+            report()
+            keeper.offer(picture, last=index == shot.indices[-1])
+        stop()
+        _finish(shot, picture, goal, before, say)
+
+
+def _begin(shot: Shot, say: Callable[[str], None]) -> Picture:
+    """Return what is there of a render, by its file of sums."""
+    args = shot.args
+    name = printable(str(shot.sums))
+    if args.fresh or not os.path.lexists(shot.sums):
+        if args.resume:
+            say(f"mitsuba-bezier: note: there is no {name} to go on from: beginning anew")
+        return Picture(shot.plan)
+    image = read_image(shot.sums)
+    for other_plan in shot.plans.values():
+        if image.attributes.get("plan") == other_plan.kind:
+            # begun with or without --until-noise, which does not matter
+            shot.plan, shot.identity["plan"] = other_plan, other_plan.kind
+    picture, other = load_sums(image, shot.identity, shot.plan, " (or --fresh to begin anew)")
+    if not picture.done <= set(shot.indices):
+        raise FileFormatError.expected(name, "passes of this part", "others")
+    if other:
+        say(
+            f"mitsuba-bezier: note: {name} was made otherwise, so the last bits may differ from "
+            f"those of one run: {'; '.join(other)}"
+        )
+    say(f"mitsuba-bezier: going on from {picture.total.spp} spp in {name}")
+    return picture
+
+
+def _finish(
+    shot: Shot, picture: Picture, goal: Goal, before: int, say: Callable[[str], None]
+) -> None:
+    """Write the files of a render that has come to its end, and tell what was reached."""
+    args = shot.args
+    complete = picture.done >= set(shot.indices)
+    stopped_by = "spp" if complete else goal.stopped_by
+    files = {**shot.encode_picture(picture, stopped_by), **shot.encode_preview(picture)}
+    if complete and not args.resume:
+        write_files(files)
+        with suppress(OSError):
+            os.unlink(shot.sums)
+    else:
+        write_files({**shot.encode_sums(picture), **files})
+    names = f"{shot.output} and {shot.preview}"
+    if shot.preview not in files:
+        names = f"{shot.output} (no colours: no PNG)"
+    noise = picture.total.noise()
+    reached = "" if noise is None else f", noise {noise:.2%}"
+    if args.until_noise is not None and stopped_by != "noise":
+        reached += f" of {args.until_noise:.2%} (stopped by {stopped_by})"
+    say(
+        f"mitsuba-bezier: wrote {printable(names)}: {picture.total.spp} spp, seed {args.seed}, "
+        f"{shot.variant}{reached}, {picture.seconds:.1f} s"
+    )
+    if args.json:
+        _write_json(args.json, shot, picture, stopped_by, before)
+
+
+def _write_json(path: str, shot: Shot, picture: Picture, stopped_by: str, before: int) -> None:
+    document: Mapping[str, Any] = {
+        "output": str(shot.output),
+        **shot.attributes(picture, stopped_by),
+        "spp_before": before,
+    }
+    document = {key: value for key, value in document.items() if key != "seeds"}
+    text = json.dumps(document, indent=2) + "\n"  # in ASCII, whatever the locale
+    if path == "-":
+        print(text, end="")
+    else:
+        write_file(path, text.encode(), "--json", make_folders=True)
+
+
+@contextmanager
+def _progress(
+    shot: Shot, picture: Picture, goal: Goal, quiet: bool
+) -> Iterator[tuple[Callable[[], None], Callable[[], None]]]:
+    """Show progress on stderr; give what reports a pass, and what stops the display."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} spp"),
+        TextColumn("{task.fields[noise]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=quiet,
+    )
+    began = looked = logged = time.perf_counter()
+    had = picture.total.spp
+    noise: float | None = None
+    end = float(shot.asked)
+
+    def report() -> None:
+        nonlocal looked, logged, noise, end
+        if quiet:
+            return
+        now = time.perf_counter()
+        if now - looked > 1 or goal.noise is not None:
+            looked, noise = now, picture.total.noise()
+            looked += 10 * (time.perf_counter() - now)  # a large film takes a while
+        end = min(float(shot.asked), goal.expected_spp(picture, noise))
+        words = "" if noise is None else f"noise {noise:.2%}"
+        if goal.noise is not None:
+            words += f" of {goal.noise:.2%}"
+        progress.update(task, completed=picture.total.spp, total=end, noise=words)
+        if not console.is_terminal and now - logged > LOG_EVERY:
+            logged = now
+            done = max(1, picture.total.spp - had)
+            left = shown_time((now - began) * max(0.0, end - picture.total.spp) / done)
+            print(
+                f"mitsuba-bezier: {picture.total.spp} of {end:.0f} spp, {words}, {left} left",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    with progress:
+        task = progress.add_task(shot.output.stem, total=end, completed=picture.total.spp, noise="")
+        yield report, progress.stop

@@ -11,8 +11,8 @@ from ._streams import printable
 
 __all__ = ["add_parser", "run"]
 
-#: `verification.merge.MISSING` and `DIFFERENCES`, which would take a second to import.
-ALLOWED = ("missing", "scene", "sensor", "integrator", "filter", "colours")
+#: `verification.merge.MISSING`, `UNFINISHED`, `DIFFERENCES`, which would take a second to import.
+ALLOWED = ("missing", "unfinished", "scene", "sensor", "integrator", "filter", "colours")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -24,7 +24,7 @@ def add_parser(subparsers: Any) -> None:
         "weighted by their samples per pixel. The headers must tell 'spp' and 'seed', as those "
         "of 'mitsuba-bezier render' do. The order of the parts does not matter. What does not "
         "belong together is refused: parts of another scene, sensor, integrator, filter or kind "
-        "of colours, and a render of which a part is missing.",
+        "of colours, and a render of which a part is missing or was interrupted.",
     )
     add = parser.add_argument
     add("parts", metavar="PART", nargs="+", help="EXR files")

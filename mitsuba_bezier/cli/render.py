@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
-import shlex
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from importlib import metadata
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from .. import _runtime, _signals
-from .._files import check_target, is_utf8, refuse_inputs, write_files
-from .._version import __version__
+from .. import _runtime
+from .._files import is_utf8
 from ..errors import BezierError, RuntimeSetupError
 from . import _model
+from ._flags import duration, noise_level, seconds
 from ._limits import add_limits
 from ._streams import printable
 
@@ -140,6 +136,37 @@ def add_parser(subparsers: Any) -> None:
         help="render only every N-th pass, from the I-th on, with what 'merge' needs to give "
         "the whole render to the bit",
     )
+    going_on = parser.add_mutually_exclusive_group()
+    going_on.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on from OUT.sums.exr, also from a finished render to more --spp, and keep that "
+        "file; without this flag, too, the same command goes on where it was interrupted",
+    )
+    going_on.add_argument(
+        "--fresh", action="store_true", help="begin anew, whatever lies beside OUT.exr"
+    )
+    add(
+        "--save-every",
+        metavar="SECONDS",
+        type=seconds,
+        help="write what is there so often, 0 after every pass (default: 2, and rarer where that "
+        "would take more than a hundredth of the time)",
+    )
+    add(
+        "--until-noise",
+        metavar="X",
+        type=noise_level,
+        help="stop when the mean relative standard error of the pixels is X, such as 0.02 or 2%%; "
+        "--spp is the upper limit, if given",
+    )
+    add(
+        "--time",
+        metavar="T",
+        type=duration,
+        help="stop after a time such as 90s, 10m or 1h30m; --spp is the upper limit, if given",
+    )
+    add("--json", metavar="FILE", help="write what was reached; '-' for standard output")
     add("--exposure", metavar="EV", type=stops, default=0.0, help="stops, for the preview (0)")
     add(
         "--allow-plugins",
@@ -156,7 +183,6 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Render and write the files; return 0."""
     scene_file = Path(args.scene)
-    from ..verification.images import encode_exr
     from . import _images, _passes, _scene
 
     for name in (args.scene, *args.more):
@@ -175,7 +201,6 @@ def run(args: argparse.Namespace) -> int:
         return 0
     beside = scene_file.with_suffix(".exr") if args.output is None else args.output
     output = _images.check_output(beside)
-    preview = output.with_suffix(".png")
 
     variant = _set_variant(args.mode)
     import drjit as dr
@@ -196,74 +221,8 @@ def run(args: argparse.Namespace) -> int:
         loaded = _scene.load(scene_file, variant, defines, args.append, args.allow_plugins)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {printable(note)}")
-    for file in (output, preview):
-        refuse_inputs(file, loaded.files, "--output")
     sensor = _sensor(loaded.scene, args.sensor)
-    film = sensor.film()
-    spp = args.spp or sensor.sampler().sample_count()
-    passes = _passes.plan(_sampled_pixels(film), spp, variant, args.spp_per_pass)
-    first, step = args.part or (0, 1)
-    if step > len(passes):
-        raise BezierError.expected(
-            "--part", f"at most {len(passes)} parts, one a pass (see --spp-per-pass)", step
-        )
-
-    half = "component_format = float16" in str(film)
-    width, height = film.crop_size()
-    _images.check_memory(int(width), int(height))
-    # ZIP halves a picture, roughly; no render has been seen to become an eighth
-    check_target(output, "--output", int(width) * int(height) * 3 * (2 if half else 4) // 8)
-
-    ours = [spp if index % step == first else 0 for index, spp in enumerate(passes)]
-    started = time.perf_counter()
-    with (
-        _progress(scene_file.name, ours, args.quiet) as (report, stop),
-        _signals.at_end(stop),
-    ):
-        rendering = _passes.render(
-            loaded.scene,
-            sensor,
-            loaded.integrator,
-            passes,
-            args.seed,
-            report,
-            (first, step),
-        )
-    seconds = time.perf_counter() - started
-
-    attributes: dict[str, str | int | float] = {
-        "command": shlex.join(args.argv),
-        "integrator": loaded.integrator_name,
-        "rfilter": film.rfilter().class_name().removesuffix("Filter").lower(),
-        "spp": rendering.spp,
-        "passes": len(rendering.passes),
-        "seed": args.seed,
-        "seeds": " ".join(map(str, rendering.seeds)),
-        "scene": loaded.digest,
-        "sensor": args.sensor,
-        "variant": variant,
-        "render_seconds": seconds,
-        "version_mitsuba_bezier": __version__,
-        "version_mitsuba": metadata.version("mitsuba"),
-        "version_drjit": metadata.version("drjit"),
-        "version_llvm": ".".join(map(str, _runtime.llvm_version() or ())) or "none",
-    }
-    if args.part:
-        attributes["part"] = f"{first + 1}/{step}"
-        attributes["plan"] = f"{sum(passes)} spp in passes of {passes[0]}"
-    exr = encode_exr(
-        {**_images.channels_of(rendering.bitmap, half), **(rendering.sums if args.part else {})},
-        attributes,
-        (int(film.crop_offset()[0]), int(film.crop_offset()[1])),
-        (int(film.size()[0]), int(film.size()[1])),
-    )
-    png = (loaded.preview or _images.encode_preview)(rendering.bitmap, args.exposure)
-    write_files({output: exr} if png is None else {output: exr, preview: png})
-    names = f"{output} and {preview}" if png is not None else f"{output} (no colours: no PNG)"
-    say(
-        f"mitsuba-bezier: wrote {printable(names)}: "
-        f"{rendering.spp} spp, seed {args.seed}, {variant}, {seconds:.1f} s"
-    )
+    _passes.render(_passes.Shot(args, loaded, sensor, variant, output), say)
     return 0
 
 
@@ -297,38 +256,3 @@ def _sensor(scene: Any, index: int) -> Any:
         expected = f"a number below {len(sensors)}" if sensors else "a scene with a sensor"
         raise BezierError.expected("--sensor", expected, index if sensors else "none")
     return sensors[index]
-
-
-def _sampled_pixels(film: Any) -> int:
-    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
-    width, height = film.crop_size()
-    return (int(width) + border) * (int(height) + border)
-
-
-@contextmanager
-def _progress(
-    title: str, passes: list[int], quiet: bool
-) -> Iterator[tuple[Callable[[int], None], Callable[[], None]]]:
-    """Show a progress bar on stderr; give what reports a pass, and what stops the display."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    progress = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} spp"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=quiet,
-    )
-    with progress:
-        task = progress.add_task(title, total=sum(passes))
-        yield lambda index: progress.advance(task, passes[index]), progress.stop

@@ -221,8 +221,9 @@ def encode_exr(
     attributes: Mapping[str, Any] | None = None,
     offset: tuple[int, int] = (0, 0),
     full_size: tuple[int, int] | None = None,
+    compress: bool = True,
 ) -> bytes:
-    """Return the contents of the file that `write_exr` writes."""
+    """Return the contents of the file that `write_exr` writes; `compress` by ZIP."""
     pixels: dict[str, np.ndarray] = {}
     for name, values in channels.items():
         values = np.asarray(values)
@@ -240,7 +241,7 @@ def encode_exr(
         return np.array([x, y], np.int32), np.array([x + w - 1, y + h - 1], np.int32)
 
     header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
+        "compression": OpenEXR.ZIP_COMPRESSION if compress else OpenEXR.NO_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "dataWindow": window(*offset, width, height),
         "displayWindow": window(0, 0, *(full_size or (width, height))),
@@ -261,7 +262,7 @@ def encode_exr(
         data = encoded(OpenEXR.File(header, pixels).write)
     except RuntimeError as error:
         raise FileFormatError.expected("image", "one that OpenEXR can write", error) from None
-    _check_whole(data, height)
+    _check_whole(data, -(-height // 16) if compress else height)
     return data
 
 
@@ -270,13 +271,12 @@ def _utf8(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-def _check_whole(data: bytes, height: int) -> None:
-    """Walk over the chunks of an EXR file of scanlines in ZIP: OpenEXR tells no error at its end.
+def _check_whole(data: bytes, count: int) -> None:
+    """Walk over the chunks of an EXR file of scanlines: OpenEXR tells no error at its end.
 
     Every entry of the table of offsets must point to the chunk of its lines, each chunk begin
     where the one before ends, and the last end with the file.
     """
-    count = -(-height // 16)  # lines of a chunk
     at = 8  # magic number and version
     try:
         while data[at]:  # attributes: name, type, size, value; an empty name ends them

@@ -18,6 +18,8 @@ rounded; to be merged exactly it must also hold the sums, as float32 channels th
 
 from __future__ import annotations
 
+import copy
+import math
 import os
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -29,7 +31,7 @@ from .._files import is_same, refuse_inputs
 from ..errors import BezierError, FileFormatError
 from .images import Image, read_image, write_exr
 
-__all__ = ["DIFFERENCES", "Accumulator", "add_file", "merge_files"]
+__all__ = ["DIFFERENCES", "Accumulator", "add_file", "luminance", "merge_files", "split_sums"]
 
 #: What parts may differ in if that is wanted, with the attribute of the header that tells it.
 DIFFERENCES = {
@@ -39,16 +41,20 @@ DIFFERENCES = {
     "filter": "rfilter",
     "colours": "variant",
 }
-#: Allows that parts of a plan are not there.
-MISSING = "missing"
+#: What is darker, as a part of a picture's mean luminance, counts as so bright (`noise`).
+DARK = 0.01
+#: Allows that parts of a plan are not there, and that some were interrupted.
+MISSING, UNFINISHED = "missing", "unfinished"
 
 _SUM = re.compile(r"sum\d+\.(.+)")
 _WEIGHT = "weight"
+_SQUARE = "square"  # sum of weight times the squared luminance of a pass: tells how noisy it is
+_LARGEST = 1e30  # of a square: sums are kept in float32, too
 _TERMS = 6  # six float32 hold any pair of float64 within the range of float32
 
 
 class _ExactSum:
-    """Sum of arrays, kept as an unevaluated pair of float64 arrays."""
+    """Sum of arrays, kept as an unevaluated pair of float64 arrays, which are never changed."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.high = np.zeros(shape)
@@ -57,11 +63,14 @@ class _ExactSum:
     def add(self, term: np.ndarray | float) -> None:
         total = self.high + term
         part = total - self.high
-        self.low += (self.high - (total - part)) + (term - part)
+        self.low = self.low + ((self.high - (total - part)) + (term - part))
         self.high = total
 
     def value(self) -> np.ndarray:
         return self.high + self.low
+
+    def copy(self) -> _ExactSum:
+        return copy.copy(self)
 
     def terms(self) -> list[np.ndarray]:
         """Return float32 arrays that add up to the sum, largest first; at least one."""
@@ -85,23 +94,38 @@ class Accumulator:
     ----------
     variance : bool
         Also estimate the variance of one sample from the differences between the passes.
+    squares : bool
+        Also sum up the squares of luminance, exactly, for `noise`.
 
     Attributes
     ----------
     spp : int
         Samples per pixel so far.
+    passes : int
+        Passes so far.
     seeds : list of int
         Seeds of the passes so far.
     """
 
-    def __init__(self, variance: bool = False) -> None:
+    def __init__(self, variance: bool = False, squares: bool = False) -> None:
         self.spp = 0
+        self.passes = 0
+        self._square: _ExactSum | None = None
+        self._squares = squares
         self.seeds: list[int] = []
         self._sums: dict[str, _ExactSum] = {}
         self._weight: _ExactSum | None = None
         # West's running update (1979): spp, mean, sum of spp * squared deviation
         self._spread: dict[str, tuple[np.ndarray, np.ndarray]] | None = {} if variance else None
-        self._count = 0
+
+    def copy(self) -> Accumulator:
+        """Return a copy that what is added later does not change; no pixel is copied."""
+        other = copy.copy(self)
+        other.seeds = list(self.seeds)
+        other._sums = {name: total.copy() for name, total in self._sums.items()}
+        other._weight, other._square = copy.copy(self._weight), copy.copy(self._square)
+        other._spread = None if self._spread is None else dict(self._spread)
+        return other
 
     def add(
         self,
@@ -133,7 +157,11 @@ class Accumulator:
                 step = values - mean
                 mean = mean + step * (spp / (self.spp + spp))
                 self._spread[name] = mean, squares + spp * step * (values - mean)
-        self._count += 1
+        if self._square is not None:
+            light = _luminance({name: _as_float(pixels) for name, pixels in channels.items()})
+            factor = float(spp) if weight is None else _as_float(weight)
+            self._square.add(factor * np.minimum(light * light, _LARGEST))
+        self.passes += 1
         self.spp += spp
         self.seeds += seeds
 
@@ -143,8 +171,11 @@ class Accumulator:
         weight: Sequence[np.ndarray],
         spp: int,
         seeds: Sequence[int] = (),
+        passes: int = 1,
     ) -> None:
         """Add sums of several passes, as `sums` gives them: by channel, arrays to be added."""
+        squares = sums.get(_SQUARE, ())
+        sums = {name: terms for name, terms in sums.items() if name != _SQUARE}
         self._admit({name: terms[0] for name, terms in sums.items()}, spp, seeds)
         for term in weight:
             self._add_weight(_as_float(term))
@@ -152,6 +183,12 @@ class Accumulator:
             for term in terms:
                 self._sums[name].add(_as_float(term))
         self._spread = None  # not known within these passes
+        if not squares:
+            self._square = None
+        elif self._square is not None:
+            for term in squares:
+                self._square.add(_as_float(term))
+        self.passes += passes
         self.spp += spp
         self.seeds += seeds
 
@@ -163,6 +200,8 @@ class Accumulator:
             (shape,) = shapes
             self._sums = {name: _ExactSum(shape) for name in channels}
             self._weight = _ExactSum(shape)
+            if self._squares and luminance(channels) is not None:
+                self._square = _ExactSum(shape)
         if channels.keys() != self._sums.keys():
             raise BezierError.expected(
                 "channels", ", ".join(sorted(self._sums)), ", ".join(sorted(channels))
@@ -199,7 +238,8 @@ class Accumulator:
             raise BezierError.expected("passes", "at least one", "none")
         return {
             f"sum{index}.{name}": term
-            for name, total in {**self._sums, _WEIGHT: self._weight}.items()
+            for name, total in {**self._sums, _WEIGHT: self._weight, _SQUARE: self._square}.items()
+            if total is not None
             for index, term in enumerate(total.terms(), 1)
         }
 
@@ -214,14 +254,65 @@ class Accumulator:
         BezierError
             If it was not asked for, or there were fewer than two passes.
         """
-        if not self._spread or self._count < 2:
+        if not self._spread or self.passes < 2:
             raise BezierError.expected(
-                "passes", "two or more passes and variance=True", self._count
+                "passes", "two or more passes and variance=True", self.passes
             )
         return {
-            f"variance.{name}": (squares / (self._count - 1)).astype(np.float32)
+            f"variance.{name}": (squares / (self.passes - 1)).astype(np.float32)
             for name, (_, squares) in self._spread.items()
         }
+
+    def noise(self) -> float | None:
+        """Return the mean relative standard error of the pixels' luminance, if it is known.
+
+        The error of a pixel with the luminances L_i of its passes, of weights w_i, is estimated by
+
+            sum w_i (L_i - L)^2 / ((passes - 1) sum w_i),
+
+        the square of its standard error, and divided by L. In a pixel that is darker than a
+        hundredth of the picture's mean it is divided by that; a picture may be black in places.
+        The mean over all pixels is corrected for what a standard deviation of few passes is too
+        small by, were they normally distributed. It takes two passes at least, `squares`, and
+        colours.
+        """
+        if self._square is None or self._weight is None or self.passes < 2:
+            return None
+        weight = self._weight.value()
+        there = weight != 0
+        weight = np.where(there, weight, 1.0)
+        light = _luminance({name: total.value() for name, total in self._sums.items()})
+        with np.errstate(invalid="ignore", over="ignore"):
+            mean = light / weight
+            square = np.maximum(self._square.value() / weight - mean**2, 0.0) / (self.passes - 1)
+            mean = np.abs(mean)
+            usable = there & np.isfinite(square) & np.isfinite(mean)
+        if not usable.any():
+            return None
+        floor = DARK * float(mean[usable].mean())
+        if floor == 0:
+            return 0.0
+        error = np.sqrt(square[usable]) / np.maximum(mean[usable], floor)
+        n = self.passes
+        small = math.sqrt(2 / (n - 1)) * math.exp(math.lgamma(n / 2) - math.lgamma((n - 1) / 2))
+        return float(error.mean()) / small
+
+
+def _luminance(channels: Mapping[str, np.ndarray]) -> np.ndarray:
+    found = luminance(channels)
+    assert found is not None
+    return found
+
+
+def luminance(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """Return the luminance of channels of colour, by Rec. 709, or None if there are none."""
+    for names, factors in (
+        ("RGB", (0.212671, 0.715160, 0.072169)),
+        ("Y", (1.0,)),  # of one channel, or of X, Y, Z
+    ):
+        if all(name in channels for name in names):
+            return sum((f * channels[name] for f, name in zip(factors, names)), np.zeros(()))
+    return None
 
 
 def _as_float(pixels: np.ndarray) -> np.ndarray:
@@ -262,15 +353,11 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
         raise FileFormatError.expected(
             name, "finite pixels (or --allow-nan)", f"{np.count_nonzero(bad)} with NaN or infinity"
         )
-    sums: dict[str, list[np.ndarray]] = {}
-    for channel in sorted(image.channels):
-        if match := _SUM.fullmatch(channel):
-            sums.setdefault(match.group(1), []).append(image.channels[channel])
-    weight = sums.pop(_WEIGHT, None)
+    sums, weight = split_sums(image)
     try:
         with np.errstate(invalid="ignore"):
-            if weight is not None:
-                total.add_sums(sums, weight, spp[0], seeds)
+            if weight:
+                total.add_sums(sums, weight, spp[0], seeds, max([1, *_integers(image, "passes")]))
                 return True
             total.add(image.channels, spp[0], seeds)
     except BezierError as error:
@@ -278,6 +365,15 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
     passes = max([*_integers(image, "passes"), len(seeds)])
     constant = image.attributes.get("rfilter", "box") == "box"
     return passes == 1 and constant and kinds == {np.dtype(np.float32)}
+
+
+def split_sums(image: Image) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray]]:
+    """Return the sums that an image holds, by channel, and those of the weight; or nothing."""
+    sums: dict[str, list[np.ndarray]] = {}
+    for channel in sorted(image.channels):
+        if match := _SUM.fullmatch(channel):
+            sums.setdefault(match.group(1), []).append(image.channels[channel])
+    return sums, sums.pop(_WEIGHT, [])
 
 
 def _colours(variant: Any) -> Any:
@@ -302,9 +398,19 @@ def _check_alike(first: Image, image: Image, allow: Collection[str]) -> None:
             )
 
 
-def _note_part(plans: dict[tuple[str, ...], set[int]], image: Image) -> None:
+def _note_part(
+    plans: dict[tuple[str, ...], set[int]], image: Image, allow: Collection[str]
+) -> None:
     """Note which parts of which plan a file holds."""
     words = str(image.attributes.get("part", "")).split()
+    ended = image.attributes.get("stopped_by", "spp") == "spp"
+    if words and UNFINISHED not in allow and not (ended and "contents" not in image.attributes):
+        asked = image.attributes.get("spp_asked", "")
+        raise FileFormatError.expected(
+            f"{image.path}: part {words[0]}",
+            f"all of its {asked} spp (or --allow {UNFINISHED})".replace("  ", " "),
+            image.attributes.get("spp"),
+        )
     for word in words:
         number, _, count = word.partition("/")
         if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
@@ -365,7 +471,8 @@ def merge_files(
     allow_nan : bool
         Let pixels pass that are not finite; they stay so.
     allow : collection of str
-        What parts may differ in, of `DIFFERENCES`; ``missing`` allows that some are not there.
+        What parts may differ in, of `DIFFERENCES`; ``missing`` allows that some are not there,
+        ``unfinished`` that some were interrupted.
 
     Returns
     -------
@@ -384,7 +491,7 @@ def merge_files(
         for other in parts[:index]:
             if is_same(path, other):
                 raise FileFormatError.expected("PART", "each file once", f"{path} twice")
-    total = Accumulator()
+    total = Accumulator(squares=True)
     plans: dict[tuple[str, ...], set[int]] = {}
     rounded: list[str] = []
     first: Image | None = None
@@ -400,7 +507,7 @@ def merge_files(
         if _frame(image) != _frame(first):
             raise FileFormatError.expected(f"{path}: size", _frame(first), _frame(image))
         _check_alike(first, image, allow)
-        _note_part(plans, image)
+        _note_part(plans, image, allow)
         if not add_file(total, image, allow_nan):
             rounded.append(str(path))
         shared = {k: v for k, v in shared.items() if image.attributes.get(k) == v}
@@ -420,6 +527,7 @@ def merge_files(
         channels = {n: np.clip(p, -top, top).astype(np.float16) for n, p in channels.items()}
     if keep_sums:
         channels |= total.sums()
+    shared.pop("noise", None)
     shared |= {
         "spp": total.spp,
         "seed": shared.get("seed", min(total.seeds)),
@@ -427,7 +535,10 @@ def merge_files(
         "passes": passes,
         "command": command,
     }
-    for key in ("part", "plan") if not missing else ("part",):
+    noise = total.noise()
+    if noise is not None:
+        shared["noise"] = noise
+    for key in ("contents", "checksum", "done", "seconds", "part", *(() if missing else ("plan",))):
         shared.pop(key, None)
     if missing:  # so that the rest can still be merged with this
         shared["part"] = " ".join(f"{i + 1}/{key[0]}" for key, own in plans.items() for i in own)

@@ -18,6 +18,9 @@ from cli_cases import BEZIER, INTEGRATOR, scene
 import mitsuba_bezier as mb
 from mitsuba_bezier import _runtime
 from mitsuba_bezier.cli import _images, _passes, main
+from mitsuba_bezier.rendering.passes import render_pass
+from mitsuba_bezier.rendering.picture import Picture
+from mitsuba_bezier.rendering.plan import Plan, pass_seed
 
 
 @pytest.fixture
@@ -345,36 +348,6 @@ def test_a_folder_without_permission(folder, capsys, monkeypatch):
 # ---------------------------------------------------------------- passes
 
 
-@pytest.mark.parametrize("pixels", [1, 1000, 512 * 512, 3840 * 2160, 1 << 26])
-@pytest.mark.parametrize("spp", [1, 7, 64, 1000])
-@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "cuda_ad_spectral"])
-def test_plans(pixels, spp, variant):
-    passes = _passes.plan(pixels, spp, variant)
-    assert sum(passes) == spp
-    assert all(n >= 1 for n in passes)
-    # no more than asked for, unless one sample a pixel is more already
-    assert all(n == 1 or n * pixels <= _passes.PASS_SAMPLES[variant[:4]] for n in passes)
-    assert len(set(passes[:-1])) <= 1  # equal but for the last: one kernel
-
-
-def test_the_plan_can_be_chosen():
-    assert _passes.plan(100, 10, "llvm_ad_rgb", 4) == [4, 4, 2]
-
-
-def test_more_samples_than_mitsuba_can_number():
-    assert _passes.plan(1 << 16, 1 << 16, "llvm_ad_rgb", (1 << 16) - 1)[0] == (1 << 16) - 1
-    with pytest.raises(mb.BezierError, match=r"--spp-per-pass: expected .* < 2\^32"):
-        _passes.plan(1 << 16, 1 << 16, "llvm_ad_rgb", 1 << 16)
-
-
-def test_seeds_of_passes_do_not_meet():
-    # neighbouring renders of many passes share no samples
-    seeds = [_passes.pass_seed(k, i) for k in range(50) for i in range(50)]
-    assert len(set(seeds)) == len(seeds)
-    assert all(0 <= s < 1 << 32 for s in seeds)
-    assert [_passes.pass_seed(k, 0) for k in range(50)] == list(range(50))
-
-
 def test_a_seed_repeats_the_image_and_another_does_not(folder):
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         words = ("--spp", "12", "--spp-per-pass", "5", "--seed", seed)
@@ -392,16 +365,16 @@ def test_passes_add_up_to_the_mean_over_all_samples(integrator, filter_name):
     film = '<string name="component_format" value="float32"/>'
     text = scene(integrator=f'<integrator type="{integrator}"/>', film=film)
     loaded = mi.load_string(text.replace('"box"', f'"{filter_name}"'))
-    sensor, passes = loaded.sensors()[0], [8, 8, 3]
-
-    def total(values):
-        return np.array(values.bitmap).astype(np.float64)
-
-    together = _passes.render(loaded, sensor, loaded.integrator(), passes, 4, lambda _: None)
-    assert together.spp == 19 and together.passes == (8, 8, 3)
+    sensor, plan = loaded.sensors()[0], Plan(19, 8, 8)
+    together = Picture(plan)
+    for index, spp in enumerate(plan):
+        one = render_pass(loaded, sensor, loaded.integrator(), spp, pass_seed(4, index))
+        together.add(index, one)
+    assert together.total.spp == 19 and together.total.passes == 3
+    mean = np.stack(list(together.total.mean().values()), axis=-1).astype(np.float64)
     sums, weights = 0.0, 0.0
-    for index, spp in enumerate(passes):
-        seed = _passes.pass_seed(4, index)
+    for index, spp in enumerate(plan):
+        seed = pass_seed(4, index)
         loaded.integrator().render(loaded, sensor, seed=seed, spp=spp)
         if integrator == "ptracer":  # finished estimates, weighted by their samples
             sums = sums + spp * np.array(sensor.film().develop())
@@ -410,7 +383,7 @@ def test_passes_add_up_to_the_mean_over_all_samples(integrator, filter_name):
             raw = np.array(sensor.film().develop(raw=True), dtype=np.float64)
             sums, weights = sums + raw[..., :3], weights + raw[..., 3:]
     # float32 sums of some ten numbers near 1
-    assert np.abs(total(together) - sums / weights).max() < 1e-5
+    assert np.abs(mean - sums / weights).max() < 1e-5
 
 
 @pytest.mark.parametrize("kind", ["float16", "float32"])

@@ -32,6 +32,7 @@ LAYERS = {
     "verification": 20,
     "plugins": 30,
     "models": 35,
+    "rendering": 33,
     "__init__": 40,
     "cli": 50,
     "regression": 60,  # a door like the command line, and it renders as that does

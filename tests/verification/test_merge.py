@@ -449,4 +449,4 @@ def test_the_names_of_the_command_line_are_those_of_the_module():
     from mitsuba_bezier.cli import merge as command
     from mitsuba_bezier.verification import merge
 
-    assert (merge.MISSING, *merge.DIFFERENCES) == command.ALLOWED
+    assert (merge.MISSING, merge.UNFINISHED, *merge.DIFFERENCES) == command.ALLOWED
