@@ -83,6 +83,7 @@ __all__ = [
     "cone",
     "conic_elements",
     "cylinder",
+    "denoise",
     "disk",
     "ellipsoid",
     "elliptic_paraboloid",
@@ -139,6 +140,7 @@ _WHEN_ASKED = {
     "Polarity": "geometry.polarity",
     "StereographicProjection": "geometry.stereographic",
     "conic_elements": "geometry.conic_elements",
+    "denoise": "rendering.denoise",
     "patchwork": "geometry.four_sided",
 }
 

@@ -18,14 +18,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import _signals
 from .._files import Files, check_target, refuse_inputs, write_file, write_files
 from ..errors import BezierError, FileFormatError
 from ..rendering import passes as _rendering
+from ..rendering.denoise import auxiliary, check_denoiser, denoise, denoiser_name
 from ..rendering.goal import Goal, shown_time
 from ..rendering.keeper import Keeper
-from ..rendering.picture import Picture, encode_sums, load_sums, machine, sums_path
-from ..rendering.plan import STYLES, make_plan, pass_seed, sampled_pixels
+from ..rendering.picture import Picture, beside, encode_sums, load_sums, machine, sums_path
+from ..rendering.plan import STYLES, make_plan, pass_seed, sampled_pixels, usual_style
 from ..verification.images import encode_exr, read_image
 from . import _images
 from ._scene import Loaded
@@ -59,8 +62,10 @@ class Shot:
         self, args: argparse.Namespace, loaded: Loaded, sensor: Any, variant: str, output: Path
     ) -> None:
         self.args, self.loaded, self.sensor = args, loaded, sensor
+        self.integrator = loaded.integrator
         self.variant, self.output = variant, output
         self.preview, self.sums = output.with_suffix(".png"), sums_path(output)
+        self.denoised = beside(output, ".denoised.exr")
         film, sampler = sensor.film(), sensor.sampler()
         open_end = args.until_noise is not None or args.time is not None
         if args.part and open_end:
@@ -70,9 +75,7 @@ class Shot:
         self.plans = {
             style: make_plan(pixels, spp, variant, args.spp_per_pass, style) for style in STYLES
         }
-        # samples of other samplers belong together: a small pass would be a worse one
-        usual = "soon" if sampler.class_name() == "IndependentSampler" else "large"
-        self.plan = self.plans[usual if args.until_noise is None else "fine"]
+        self.plan = self.plans[usual_style(sampler) if args.until_noise is None else "fine"]
         self.part = args.part or (0, 1)
         if self.part[1] > len(self.plan):
             raise BezierError.expected(
@@ -114,13 +117,22 @@ class Shot:
 
     def _check_files(self) -> None:
         """Make sure, before any work, that what is rendered can be kept."""
-        for file in (self.output, self.preview, self.sums):
+        for file in (self.output, self.preview, self.sums, self.denoised):
             refuse_inputs(file, self.loaded.files, "--output")
         width, height = self.size
         _images.check_memory(width, height)
         # ZIP halves a picture, roughly; no render has been seen to become an eighth
         check_target(self.output, "--output", width * height * 3 * (2 if self.half else 4) // 8)
         check_target(self.sums, "--output")
+        if self.args.denoise:
+            check_target(self.denoised, "--output")
+            check_denoiser()
+            names = _rendering.channels_of(_rendering.empty_bitmap(self.sensor, self.integrator))
+            if not names.keys() & {"R", "Y"} or "X" in names:
+                got = ", ".join(names)
+                raise BezierError.expected("--denoise", "a film of channels R, G, B, or Y", got)
+            if self.identity["rfilter"] != "box":
+                raise BezierError.expected("--denoise", "the filter box", self.identity["rfilter"])
         if self.args.json and self.args.json != "-":
             check_target(self.args.json, "--json", make_folders=True)
 
@@ -169,10 +181,37 @@ class Shot:
 
     def encode_preview(self, picture: Picture) -> Files:
         """Return its preview, if it has colours."""
-        bitmap = _rendering.empty_bitmap(self.sensor, self.loaded.integrator)
-        _rendering.fill_bitmap(bitmap, picture.total.mean())
-        png = _images.encode_preview(bitmap, self.args.exposure)
+        return self._encode_preview(picture.total.mean())
+
+    def _encode_preview(self, channels: dict[str, np.ndarray]) -> Files:
+        bitmap = _rendering.empty_bitmap(self.sensor, self.integrator)
+        _rendering.fill_bitmap(bitmap, channels)
+        png = (self.loaded.preview or _images.encode_preview)(bitmap, self.args.exposure)
         return {} if png is None else {self.preview: png}
+
+    def encode_denoised(self, picture: Picture, stopped_by: str) -> Files:
+        """Return the denoised picture and its preview."""
+        mean = picture.total.mean()
+        names = [name for name in ("RGB" if "R" in mean else "Y") if name in mean]
+        started = time.perf_counter()
+        guides = auxiliary(self.loaded.scene, self.sensor, self.variant)
+        clean = denoise(np.stack([mean[name] for name in names], axis=-1), guides)
+        channels = {name: clean[..., i] for i, name in enumerate(names)}
+        mean |= channels
+        if "A" in mean:
+            channels["A"] = mean["A"]
+        attributes = {
+            **self.attributes(picture, stopped_by),
+            "denoised": denoiser_name(),
+            "denoise_seconds": time.perf_counter() - started,
+        }
+        data = encode_exr(
+            _rendering.halved(channels) if self.half else channels,
+            attributes,
+            self.offset,
+            self.full_size,
+        )
+        return {self.denoised: data, **self._encode_preview(mean)}
 
     def better(self) -> int:
         """Return the samples of a picture of this render that lies there, 0 if none does."""
@@ -227,7 +266,7 @@ def render(shot: Shot, say: Callable[[str], None]) -> None:
             rendered = _rendering.render_pass(
                 shot.loaded.scene,
                 shot.sensor,
-                shot.loaded.integrator,
+                shot.integrator,
                 plan[index],
                 pass_seed(args.seed, index),
             )
@@ -274,16 +313,20 @@ def _finish(
     args = shot.args
     complete = picture.done >= set(shot.indices)
     stopped_by = "spp" if complete else goal.stopped_by
-    files = {**shot.encode_picture(picture, stopped_by), **shot.encode_preview(picture)}
+    files = shot.encode_picture(picture, stopped_by)
+    if args.denoise:
+        files |= shot.encode_denoised(picture, stopped_by)
+    else:
+        files |= shot.encode_preview(picture)
     if complete and not args.resume:
         write_files(files)
         with suppress(OSError):
             os.unlink(shot.sums)
     else:
         write_files({**shot.encode_sums(picture), **files})
-    names = f"{shot.output} and {shot.preview}"
+    names = " and ".join(str(name) for name in files)
     if shot.preview not in files:
-        names = f"{shot.output} (no colours: no PNG)"
+        names += " (no colours: no PNG)"
     noise = picture.total.noise()
     reached = "" if noise is None else f", noise {noise:.2%}"
     if args.until_noise is not None and stopped_by != "noise":
@@ -364,6 +407,18 @@ def _progress(
                 flush=True,
             )
 
-    with progress:
-        task = progress.add_task(shot.output.stem, total=end, completed=picture.total.spp, noise="")
-        yield report, progress.stop
+    stopped = False
+
+    def stop() -> None:
+        nonlocal stopped
+        if not stopped:  # each time it would print an empty line
+            stopped = True
+            progress.stop()
+
+    title = printable(shot.output.stem)
+    task = progress.add_task(title, total=end, completed=picture.total.spp, noise="")
+    progress.start()
+    try:
+        yield report, stop
+    finally:
+        stop()

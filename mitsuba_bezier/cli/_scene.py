@@ -81,6 +81,7 @@ def load(
     defines: Mapping[str, str] | None = None,
     search_paths: Sequence[str | Path] = (),
     allow_plugins: bool = False,
+    box_filter: bool = False,
 ) -> Loaded:
     """Load a scene file under the variant that is set.
 
@@ -96,6 +97,8 @@ def load(
         More folders in which files named by the scene are looked for.
     allow_plugins : bool
         Whether libraries beside the scene may be loaded as plugins.
+    box_filter : bool
+        Whether films get the filter `box` in place of their own.
 
     Raises
     ------
@@ -116,6 +119,8 @@ def load(
             _plugins.check(mi, (node.props.plugin_name() for node in state.nodes), path)
         _guarded(path, mi.parser.transform_all, config, state)
         name, notes = _choose_integrator(mi, state)
+        if box_filter:
+            _choose_box_filter(mi, state, notes)
         built = _guarded(path, mi.parser.instantiate, config, state)
         scene = built[0] if isinstance(built, list) and len(built) == 1 else built
         if not isinstance(scene, mi.Scene):
@@ -186,6 +191,25 @@ def _choose_integrator(mi: Any, state: Any) -> tuple[str, list[str]]:
     notes: list[str] = []
     has_bezier = any(node.props.plugin_name() == SHAPE for node in state.nodes)
     return _exchange(mi, state, integrators[0], has_bezier, notes), notes
+
+
+def _choose_box_filter(mi: Any, state: Any, notes: list[str]) -> None:
+    """Give all films the filter `box`."""
+    for film in state.nodes:
+        if film.type != mi.ObjectType.Film:
+            continue
+        filters = [
+            n for n in _children(state, film) if n.type == mi.ObjectType.ReconstructionFilter
+        ]
+        for node in filters:
+            if node.props.plugin_name() != "box":
+                notes.append(f"--denoise: the filter box in place of {node.props.plugin_name()}")
+                identifier = node.props.id()
+                node.props = mi.Properties("box")
+                node.props.set_id(identifier)
+        if not filters:
+            notes.append("--denoise: the filter box in place of the film's own")
+            film.props["box_filter_of_denoise"] = mi.load_dict({"type": "box"})
 
 
 def _exchange(mi: Any, state: Any, node: Any, has_bezier: bool, notes: list[str]) -> str:

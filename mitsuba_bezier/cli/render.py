@@ -166,6 +166,12 @@ def add_parser(subparsers: Any) -> None:
         type=duration,
         help="stop after a time such as 90s, 10m or 1h30m; --spp is the upper limit, if given",
     )
+    add(
+        "--denoise",
+        action="store_true",
+        help="also write OUT.denoised.exr, a guess of the picture without noise, which the preview "
+        "then shows; renders with the filter 'box', which that needs",
+    )
     add("--json", metavar="FILE", help="write what was reached; '-' for standard output")
     add("--exposure", metavar="EV", type=stops, default=0.0, help="stops, for the preview (0)")
     add(
@@ -218,7 +224,9 @@ def run(args: argparse.Namespace) -> int:
         loaded = _model.load(args)
     else:
         defines = dict(args.define)
-        loaded = _scene.load(scene_file, variant, defines, args.append, args.allow_plugins)
+        loaded = _scene.load(
+            scene_file, variant, defines, args.append, args.allow_plugins, args.denoise
+        )
     for note in loaded.notes:
         say(f"mitsuba-bezier: {printable(note)}")
     sensor = _sensor(loaded.scene, args.sensor)

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from .. import _loading, _runtime
 from .._version import __version__
-from ..cli import _images, _passes, _scene
+from ..cli import _scene
 from ..errors import BezierError, FileFormatError, VariantError
+from ..rendering.picture import render_picture
+from ..rendering.plan import Plan, make_plan, sampled_pixels, usual_style
 from ..verification.fingerprint import scene_fingerprint
 from ..verification.images import Image, write_exr
 from ..verification.merge import Accumulator
@@ -134,22 +136,18 @@ class Shot:
     def render(self, seed: int) -> Image:
         """Return one render, float32, with the header attributes of a file."""
         film, sampler = self._sensor.film(), self._sensor.sampler()
-        width, height = (int(n) for n in film.crop_size())
-        border = 2 * film.rfilter().border_size() if film.sample_border() else 0
         if self._scalar:
-            passes = [self.spp]
+            plan = Plan(self.spp, self.spp, self.spp)
         else:
-            pixels = (width + border) * (height + border)
-            passes = _passes.plan(pixels, self.spp, self._mi.variant())
+            style = usual_style(sampler)
+            variant = self._mi.variant()
+            plan = make_plan(sampled_pixels(film), self.spp, variant, style=style)
         before = sampler.sample_count()
         try:
-            done = _passes.render(
-                *(self._scene, self._sensor, self._integrator, passes, seed, lambda _index: None)
-            )
+            picture = render_picture(self._scene, self._sensor, self._integrator, plan, seed)
         finally:
             sampler.set_sample_count(before)
-        channels = _images.channels_of(done.bitmap, half=False)
-        return Image(channels, self._attributes(done.spp, [seed]))
+        return Image(picture.total.mean(), self._attributes(picture.total.spp, [seed]))
 
     def render_reference(
         self, passes: int, command: str, extra: Mapping[str, str | int]

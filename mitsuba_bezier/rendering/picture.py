@@ -22,14 +22,22 @@ from .._runtime import llvm_version
 from ..errors import FileFormatError
 from ..verification.images import Image, encode_exr
 from ..verification.merge import Accumulator, split_sums
-from .passes import Pass
-from .plan import Plan
+from .passes import Pass, render_pass
+from .plan import Plan, pass_seed
 
-__all__ = ["Picture", "encode_sums", "load_sums", "machine", "ranges", "sums_path"]
+__all__ = [
+    "Picture",
+    "beside",
+    "encode_sums",
+    "load_sums",
+    "machine",
+    "ranges",
+    "render_picture",
+    "sums_path",
+]
 
 #: The longest file name of usual systems, in bytes.
 _LONGEST = 255
-_SUFFIX = ".sums.exr"
 
 
 @dataclass
@@ -101,12 +109,41 @@ class Picture:
         return other
 
 
+def render_picture(
+    scene: Any, sensor: Any, integrator: Any, plan: Plan, seed: int, picture: Picture | None = None
+) -> Picture:
+    """Render all passes of a plan that are not there yet, in one go.
+
+    Parameters
+    ----------
+    scene, sensor, integrator
+        Objects of Mitsuba.
+    plan : Plan
+        The passes.
+    seed : int
+        Seed of the render.
+    picture : Picture, optional
+        What is there.
+    """
+    picture = picture or Picture(plan)
+    for index, spp in enumerate(plan):
+        if index not in picture.done:
+            one = render_pass(scene, sensor, integrator, spp, pass_seed(seed, index))
+            picture.add(index, one)
+    return picture
+
+
 def sums_path(output: str | os.PathLike[str]) -> Path:
     """Return the name of the file beside a picture that holds its sums."""
+    return beside(output, ".sums.exr")
+
+
+def beside(output: str | os.PathLike[str], suffix: str) -> Path:
+    """Return the name of a file beside a picture: the picture's, with another suffix."""
     path = Path(output)
-    name = path.with_suffix("").name + _SUFFIX
+    name = path.with_suffix("").name + suffix
     if len(os.fsencode(name)) > _LONGEST:
-        name = hashlib.sha256(os.fsencode(name)).hexdigest()[:32] + _SUFFIX
+        name = hashlib.sha256(os.fsencode(name)).hexdigest()[:32] + suffix
     return path.with_name(name)
 
 

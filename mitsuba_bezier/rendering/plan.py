@@ -192,3 +192,9 @@ def sampled_pixels(film: Any) -> int:
     border = 2 * film.rfilter().border_size() if film.sample_border() else 0
     width, height = film.crop_size()
     return (int(width) + border) * (int(height) + border)
+
+
+def usual_style(sampler: Any) -> str:
+    """Return the style of a plan for a sampler of Mitsuba, see `make_plan`."""
+    # samples of other samplers belong together: a small pass would be a worse one
+    return "soon" if sampler.class_name() == "IndependentSampler" else "large"

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import BezierError, FileFormatError
 from . import flip
-from .images import SUFFIXES, Image, read_image
+from .images import SUFFIXES, Image, read_image, refuse_denoised
 from .metrics import Metrics, measure
 from .noise import blank, expected_values, shows_nothing
 from .thresholds import Limits, Thresholds
@@ -343,8 +343,10 @@ def compare_images(
     Raises
     ------
     FileFormatError
-        If size, channels or encoding differ.
+        If size, channels or encoding differ, or one of them was denoised.
     """
+    refuse_denoised(reference)
+    refuse_denoised(test)
     layers, others = comparable_layers(reference), comparable_layers(test)
     for what, a, b in (
         ("size", _extent(reference), _extent(test)),

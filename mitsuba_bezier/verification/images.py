@@ -27,7 +27,15 @@ from ..errors import FileFormatError
 from . import png
 from .image_size import check_size
 
-__all__ = ["SUFFIXES", "Image", "encode_exr", "group_layers", "read_image", "write_exr"]
+__all__ = [
+    "SUFFIXES",
+    "Image",
+    "encode_exr",
+    "group_layers",
+    "read_image",
+    "refuse_denoised",
+    "write_exr",
+]
 
 SUFFIXES = (".exr", ".png")
 _COLOR = ("R", "G", "B", "Y", "RY", "BY")
@@ -185,6 +193,21 @@ def _from_parts(parts: Sequence[Any], path: Path) -> Image:
     offset = int(x) - int(left), int(y) - int(top)
     full = int(right) - int(left) + 1, int(bottom) - int(top) + 1
     return Image(channels, attributes, "linear", path, offset, full)
+
+
+def refuse_denoised(image: Image) -> None:
+    """Raise an error for a picture that a denoiser has made: it is a guess, no measurement.
+
+    Raises
+    ------
+    FileFormatError
+        If its header says so.
+    """
+    made_by = image.attributes.get("denoised")
+    if made_by:
+        raise FileFormatError.expected(
+            str(image.path), "a picture as it was rendered", f"one that was denoised ({made_by})"
+        )
 
 
 def write_exr(

@@ -29,7 +29,7 @@ import numpy as np
 
 from .._files import is_same, refuse_inputs
 from ..errors import BezierError, FileFormatError
-from .images import Image, read_image, write_exr
+from .images import Image, read_image, refuse_denoised, write_exr
 
 __all__ = ["DIFFERENCES", "Accumulator", "add_file", "luminance", "merge_files", "split_sums"]
 
@@ -340,6 +340,7 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
         those before, channels are integers, or a pixel is not finite.
     """
     name = str(image.path)
+    refuse_denoised(image)
     spp, seeds = _integers(image, "spp"), _integers(image, "seeds") or _integers(image, "seed")
     if len(spp) != 1:
         raise FileFormatError.expected(f"{name}: spp", "the header attribute spp", "none")

@@ -136,7 +136,7 @@ def test_a_full_disk_is_told_before_the_render(folder, monkeypatch, capsys):
 
     monkeypatch.setattr(_passes, "render", too_late)
     for free in (0, 32 * 24 * 6 // 8):
-        monkeypatch.setattr(_files, "_free", lambda _, free=free: free)
+        monkeypatch.setattr(_files, "free_space", lambda _, free=free: free)
         assert run("render", "ball.xml", "-q") == 2
         assert f"bytes of free space, got {free} in ." in capsys.readouterr().err
 

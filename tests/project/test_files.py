@@ -317,7 +317,7 @@ def test_folders_are_made_where_that_is_wanted(folder):
 
 
 def test_a_disk_that_is_too_small_is_told_before(folder, monkeypatch):
-    monkeypatch.setattr(_files, "_free", lambda _: 1000)
+    monkeypatch.setattr(_files, "free_space", lambda _: 1000)
     _files.check_target(folder / "a", "OUT", 999)
     with pytest.raises(mb.FileFormatError, match="at least 2000 bytes of free space, got 1000 in"):
         _files.check_target(folder / "a", "OUT", 2000)
