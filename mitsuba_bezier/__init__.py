@@ -77,6 +77,8 @@ __all__ = [
     "StereographicProjection",
     "VariantError",
     "__version__",
+    "arrow",
+    "boundary_curves",
     "characterize",
     "classify_quadric",
     "collineation_to_paraboloid",
@@ -94,8 +96,11 @@ __all__ = [
     "hyperbolic_paraboloid",
     "hyperboloid_one_sheet",
     "hyperboloid_two_sheets",
+    "isoparametric_lines",
+    "label",
     "load",
     "native",
+    "net_shapes",
     "patchwork",
     "plane",
     "projective_type",
@@ -146,6 +151,11 @@ _WHEN_ASKED = {
 
 #: Names that need Mitsuba, and where they are.
 _WITH_MITSUBA = {
+    "arrow": "plugins.pieces.nets",
+    "boundary_curves": "plugins.pieces.curves",
+    "isoparametric_lines": "plugins.pieces.curves",
+    "label": "plugins.pieces.labels",
+    "net_shapes": "plugins.pieces.nets",
     "native": "plugins.native.scene_methods",
     "ray_intersect": "plugins.scene",
     "ray_test": "plugins.scene",

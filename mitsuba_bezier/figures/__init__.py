@@ -24,10 +24,11 @@ import numpy as np
 
 from ..errors import GeometryError
 from ..geometry.camera import Camera
+from ..geometry.isoparametric import isoparametric
 from ..geometry.projective import numbers
 from .drawing import SUFFIXES, camera_window
 from .sampling import Window
-from .schemes import Schemes, isoparametric
+from .schemes import Schemes
 
 __all__ = ["SUFFIXES", "Drawing", "draw", "isoparametric", "names", "overlay", "plane", "space"]
 

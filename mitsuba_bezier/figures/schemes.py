@@ -13,7 +13,8 @@ from ..geometry.cross_ratio import cross_ratio
 from ..geometry.curves import BezierCurve
 from ..geometry.duality import DualBezierCurve
 from ..geometry.farin import cross_ratio_scheme
-from ..geometry.projective import elements, is_ideal, norm, numbers
+from ..geometry.isoparametric import isoparametric
+from ..geometry.projective import is_ideal, norm, numbers
 from ..geometry.quadrics import quadric_matrix
 from ..geometry.triangles import BezierTriangles
 from .drawing import Canvas
@@ -283,34 +284,6 @@ class Schemes(Canvas):
         """Draw the lines of a pencil: from one point through others, as whole lines."""
         for x in self.homogeneous(through):
             self.line(center, x, kind, **changes)
-
-
-def isoparametric(patches: BezierTriangles, patch: int, start: Any, end: Any) -> BezierCurve | None:
-    """Return the curve of a patch over a segment of its parameters; None if it is a point.
-
-    Parameters
-    ----------
-    patches : BezierTriangles
-    patch : int
-    start, end : (3,) array_like
-        Barycentric coordinates of the ends of the segment.
-    """
-    net, n = patches.control_points[patch], patches.degree
-    a, b = elements("start", start, (3,)), elements("end", end, (3,))
-    points = []
-    for k in range(n + 1):
-        level = net
-        for uvw in [a] * (n - k) + [b] * k:
-            level = bernstein.blossom_step(level, uvw)
-        points.append(level[0])
-    out = np.array(points)
-    size = norm(out)
-    if not size.any():
-        return None
-    unit = out[size > 0] / size[size > 0, None]
-    unit = unit * np.sign(unit @ unit[0])[:, None]
-    # 1e-12: an edge that has shrunk to a point, up to rounding
-    return None if norm(unit - unit[0]).max() <= 1e-12 else BezierCurve(out)
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

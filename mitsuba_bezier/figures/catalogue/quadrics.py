@@ -10,6 +10,7 @@ from ...geometry.camera import Camera, look_at
 from ...geometry.covers import quadric_cover, sphere
 from ...geometry.curves import BezierCurve
 from ...geometry.four_sided import boundary_curve, four_sided_net
+from ...geometry.isoparametric import isoparametric
 from ...geometry.projective import affine, ideal, is_ideal, point
 from ...geometry.quadrics import quadric_patch
 from ...geometry.stereographic import StereographicProjection
@@ -291,8 +292,6 @@ def _moved(
 
 
 def _outline(d: Drawing, patch: BezierTriangles, k: int, edge: int, zorder: float) -> None:
-    from ..schemes import isoparametric
-
     corners = np.eye(3)
     if len(patch) == 2 and edge == 0:
         return  # the diagonal along which the four-sided patch is cut

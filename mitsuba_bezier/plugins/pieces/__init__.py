@@ -1,0 +1,1 @@
+"""Pieces of scenes that explain a surface: its net, curves on it, labels, arrows."""
