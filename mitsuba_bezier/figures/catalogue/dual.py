@@ -93,7 +93,7 @@ def osculating_planes(style: str = "screen", t: float = 0.45) -> Drawing:
     """Osculating planes of a space curve: its dual curve."""
     from .. import space
 
-    camera = Camera(look_at([2.6, -6.0, 4.2], [0.0, 0.15, 0.65], [0, 0, 1]), 30, "x", (1600, 900))
+    camera = Camera(look_at([2.6, -6.0, 4.2], [0.0, 0.15, 0.65], [0, 0, 1]), 46, "x", (1600, 900))
     d = space(camera, style)
     curve = BezierCurve.from_points(
         [[1.0, -1.0, 0], [1.6, 1.5, 0.2], [-1.6, 1.5, 1.0], [-1.0, -1.0, 1.5]]
