@@ -7,6 +7,7 @@ __all__ = [
     "FileFormatError",
     "GeometryError",
     "NetError",
+    "PrescriptionError",
     "RuntimeSetupError",
     "VariantError",
 ]
@@ -42,3 +43,7 @@ class VariantError(BezierError):
 
 class RuntimeSetupError(BezierError):
     """Something the machine lacks (LLVM, libatomic); the message says how to install it."""
+
+
+class PrescriptionError(BezierError):
+    """A prescription of a lens, or a glass in it, that is not what was expected."""

