@@ -8,6 +8,7 @@ from __future__ import annotations
 from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
 from .lens import Lens, Surface
 from .paraxial import FirstOrder, first_order
+from .readers import load
 from .trace import Trace, trace
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "Trace",
     "first_order",
     "glass",
+    "load",
     "trace",
 ]

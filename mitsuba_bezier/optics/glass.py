@@ -264,9 +264,10 @@ def glass(name: str) -> Medium:
     plain = _plain(name)
     if plain in ("", "AIR", "VACUUM"):
         return AIR
-    code = re.fullmatch(r"(\d{3})\.?(\d{3})", plain)
+    code = re.fullmatch(r"(\d{3})(\d{3})|(\d{3,8})\.(\d{3,8})", plain)
     if code:
-        return Abbe(1 + int(code[1]) / 1000, int(code[2]) / 10, name.strip())
+        n, v = (code[1], code[2]) if code[1] else (code[3], code[4])
+        return Abbe(1 + int(n) / 10 ** len(n), int(v) / 10 ** (len(v) - 2), name.strip())
     pair = re.fullmatch(r"(\d+\.?\d*):(\d+\.?\d*)", plain)
     if pair:
         return Abbe(float(pair[1]), float(pair[2]), name.strip())
@@ -275,9 +276,9 @@ def glass(name: str) -> Medium:
         return Constant(float(plain), name.strip())
     _database()
     pages = _pages()
-    page = pages.get(plain)
-    if page is None and plain.split("_")[0] in pages and "_" in plain:
-        page = pages[plain.split("_")[0]]
+    base = plain.split("_")[0]
+    # a maker that is not here, or old Schott glass, whose successor without lead has an N before it
+    page = pages.get(plain) or pages.get(base) or pages.get("N" + plain) or pages.get("N" + base)
     if page is None:
         near = difflib.get_close_matches(plain, pages, n=4, cutoff=0.5)
         offered = ", ".join(dict.fromkeys(pages[n][2] for n in near)) or "none is near"

@@ -206,7 +206,9 @@ def _beam(
     systems: np.ndarray,
 ) -> tuple[float, float]:
     """Return the entrance pupil's diameter and half the size of the stop."""
-    magnified = before[0, 0] if before[0, 0] else np.nan  # heights at the stop over those in the pupil
+    magnified = (
+        before[0, 0] if before[0, 0] else np.nan
+    )  # heights at the stop over those in the pupil
     stop = lens.surfaces[lens.stop]
     if lens.aperture is None or lens.aperture[0] == "stop":
         size = stop.semi_diameter

@@ -80,7 +80,9 @@ def meet(surface: Surface, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             step = gap / rate
         t = t - step
-        size = 1e-15 * (np.abs(t) + np.abs(surface.semi_diameter if np.isfinite(surface.semi_diameter) else 1))
+        size = 1e-15 * (
+            np.abs(t) + np.abs(surface.semi_diameter if np.isfinite(surface.semi_diameter) else 1)
+        )
         if not (np.abs(step) > size).any():
             break
     with np.errstate(invalid="ignore"):

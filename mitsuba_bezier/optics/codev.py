@@ -1,0 +1,323 @@
+"""Read CODE V sequence files (``.seq``): conics, polynomial aspheres, mirrors, tilts."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from os import PathLike
+
+import numpy as np
+
+from ..errors import FileFormatError, PrescriptionError
+from .frames import shift, turn
+from .glass import AIR, Medium, glass
+from .lens import Lens, Surface
+from .text import read_prescription_text
+
+_UNITS = {"M": "mm", "MM": "mm", "C": "cm", "CM": "cm", "I": "in", "IN": "in"}
+
+#: Commands that change no ray: variables, merit functions, vignetting factors, comments, plots.
+_SILENT = set(
+    ["LEN", "TIT", "TITLE", "INI", "GO", "RDM", "DIM", "CA", "PIM", "DER", "CCY", "THC", "KC", "AC", "BC", "CC", "DC", "EC", "FC", "GC", "HC", "IC", "JC", "VUX", "VLX", "VUY", "VLY", "WTF", "WTW", "SLB", "CUM", "THM", "CLS", "PIK", "POL", "REX", "REY", "ADX", "ADY", "TEM", "CUF", "WL", "REF", "EPD", "FNO", "NAO", "NA", "XAN", "YAN", "XOB", "YOB", "XIM", "YIM", "XRI", "YRI", "SO", "SI", "S", "STO", "CIR", "ASP", "CON", "K", "PRV", "END", "PWL", "XDC", "YDC", "ZDC", "ADC", "BDC", "CDC", "VIE", "SUR", "OUT"]
+)
+
+#: Coefficients of r^4, r^6, ...
+_COEFFICIENTS = "ABCDEFGHIJ"
+
+
+@dataclass
+class _Row:
+    """One surface, as written."""
+
+    line: int
+    number: float = 0.0
+    thickness: float = 0.0
+    glass: str = ""
+    mirror: bool = False
+    stop: bool = False
+    conic: float = 0.0
+    coefficients: dict[str, float] = field(default_factory=dict)
+    asphere: bool = False
+    size: float = np.inf
+    edge: float = np.inf
+    inner: float = 0.0
+    moved: dict[str, float] = field(default_factory=dict)
+    way: str = ""
+
+
+class _Table:
+    """A private glass: indices at wavelengths in nanometres, interpolated in 1 / w^2."""
+
+    def __init__(self, name: str, wavelengths: list[float], indices: list[float]):
+        self.name = name
+        self._x = np.array(wavelengths) ** -2.0 * 1e6
+        order = np.argsort(self._x)
+        self._x, self._n = self._x[order], np.array(indices)[order]
+
+    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return indices at wavelengths in micrometres, by a cubic through the four nearest."""
+        x = np.asarray(wavelength, float) ** -2.0
+        flat = np.atleast_1d(x).ravel()
+        margin = 1e-9 * self._x[-1]
+        if (flat < self._x[0] - margin).any() or (flat > self._x[-1] + margin).any():
+            raise PrescriptionError(
+                f"glass {self.name}: expected wavelengths from {self._x[-1] ** -0.5:.4g} to "
+                f"{self._x[0] ** -0.5:.4g} micrometres, got {np.atleast_1d(wavelength).ravel()}"
+            )
+        first = np.clip(np.searchsorted(self._x, flat) - 2, 0, max(len(self._x) - 4, 0))
+        out = np.zeros(len(flat))
+        near = min(4, len(self._x))
+        for j in range(near):
+            term = self._n[first + j].astype(float)
+            for k in range(near):
+                if k != j:
+                    term = (
+                        term
+                        * (flat - self._x[first + k])
+                        / (self._x[first + j] - self._x[first + k])
+                    )
+            out += term
+        return out.reshape(x.shape)
+
+
+def _statements(text: str) -> list[tuple[int, list[str]]]:
+    """Return the words of each statement and its line: ``;`` ends one, ``&`` goes on, ``!`` comments."""
+    out = []
+    held, start = "", 1
+    for count, line in enumerate(text.splitlines(), start=1):
+        line = re.sub(r"!.*", "", line)
+        if not held:
+            start = count
+        if line.rstrip().endswith("&"):
+            held += line.rstrip()[:-1] + " "
+            continue
+        for part in re.split(r";(?=(?:[^'\"]*['\"][^'\"]*['\"])*[^'\"]*$)", held + line):
+            words = re.findall(r"'[^']*'|\"[^\"]*\"|\S+", part)
+            if words:
+                out.append((start, words))
+        held = ""
+    return out
+
+
+def read_codev(path: str | PathLike[str]) -> Lens:
+    """Return the lens of a CODE V ``.seq`` file.
+
+    Followed are conics, aspheres ``ASP`` with coefficients A to J, ``REFL``, circular apertures, tilts
+    (basic, ``DAR``, ``REV``, ``BEN``), private glasses, wavelengths and fields. What else the file says is
+    in `Lens.notes`.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is missing, no text, or not of this format.
+    PrescriptionError
+        If a surface or glass is not followed.
+    """
+    statements = _statements(read_prescription_text(path))
+    heads = {words[0].upper() for _, words in statements}
+    if not {"SO", "SI"} <= heads:
+        raise FileFormatError(f"{path}: expected CODE V statements SO and SI, got none")
+    rows: list[_Row] = []
+    head: dict[str, list[str]] = {}
+    notes: list[str] = []
+    private: dict[str, Medium] = {}
+    powers: list[float] = []
+    by_radius = False
+    inside = False
+
+    def number(words: list[str], at: int, line: int) -> float:
+        try:
+            return float(words[at])
+        except (IndexError, ValueError):
+            got = words[at] if at < len(words) else "nothing"
+            raise FileFormatError(
+                f"{path}, line {line}: expected a number as word {at + 1} of {words[0]}, got {got}"
+            ) from None
+
+    for line, words in statements:
+        key = words[0].upper()
+        if inside:
+            if key == "END":
+                inside = False
+            elif key == "PWL":
+                powers = [float(w) for w in words[1:]]
+            elif powers and len(words) > 1:
+                name = words[0].strip("'\"")
+                private[name.upper()] = _Table(name, powers, [float(w) for w in words[1:]])
+            continue
+        if key == "PRV":
+            inside = True
+        elif key == "RDM":
+            by_radius = words[1:2] == [] or words[1].upper().startswith("Y")
+        elif key in ("SO", "SI", "S") or re.fullmatch(r"S\d+", key):
+            if key == "SI" and rows and rows[-1].line == -1:
+                continue
+            rows.append(_Row(line))
+            row = rows[-1]
+            if len(words) > 1:
+                row.number = number(words, 1, line)
+            if len(words) > 2:
+                row.thickness = number(words, 2, line)
+            for word in words[3:]:
+                if word.upper() == "REFL":
+                    row.mirror = True
+                elif not row.glass:
+                    row.glass = word.strip("'\"")
+        elif rows and key in ("STO", "STOP"):
+            rows[-1].stop = True
+        elif rows and key == "CIR":
+            kinds = [w.upper() for w in words[1:-1]]
+            value = number(words, len(words) - 1, line)
+            if "EDG" in kinds:
+                rows[-1].edge = value
+            elif "OBS" in kinds or "HOL" in kinds:
+                rows[-1].inner = value
+            else:
+                rows[-1].size = value
+        elif rows and key == "ASP":
+            rows[-1].asphere = True
+        elif rows and key == "CON":
+            continue
+        elif rows and key == "K":
+            rows[-1].conic = number(words, 1, line)
+        elif rows and key in tuple(_COEFFICIENTS) and rows[-1].asphere:
+            rows[-1].coefficients[key] = number(words, 1, line)
+        elif rows and key in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"):
+            rows[-1].moved[key] = number(words, 1, line)
+        elif rows and key in ("DAR", "REV", "BEN"):
+            rows[-1].way = key
+        elif rows and key == "REFL":
+            rows[-1].mirror = True
+        elif rows and key == "CUY":
+            rows[-1].number = (
+                number(words, 1, line) if not by_radius else 1 / number(words, 1, line)
+            )
+        elif rows and key in ("GLA", "GL1"):
+            rows[-1].glass = words[-1].strip("'\"")
+        elif rows and key == "THI":
+            rows[-1].thickness = number(words, len(words) - 1, line)
+        elif rows and key in ("DIF", "HOR", "HWL", "HCT", "HCO", "HCC", "HOE", "SPS", "GRT", "LAM"):
+            said = (
+                f"surface {len(rows) - 1}: {key} (a diffractive or special surface) is not followed"
+            )
+            if key in ("SPS", "GRT", "LAM"):
+                raise PrescriptionError(f"{path}, line {line}: {said}")
+            notes.append(said)
+        elif key not in _SILENT:
+            notes.append(f"line {line}: {words[0]} is not followed")
+        elif key not in head:
+            head[key] = words
+    if len(rows) < 3:
+        raise PrescriptionError(f"{path}: expected a surface between SO and SI, got none")
+
+    surfaces = [
+        _surface(row, i, by_radius, private, path, notes)
+        for i, row in enumerate(rows[1:-1], start=1)
+    ]
+    image = rows[-1]
+    if image.moved:
+        last = surfaces[-1]
+        way = _basic(image.moved)
+        surfaces[-1] = replace(
+            last, after=last.after @ shift(z=last.thickness) @ way, thickness=0.0
+        )
+    if image.thickness:
+        surfaces[-1] = replace(surfaces[-1], thickness=surfaces[-1].thickness + image.thickness)
+    far = rows[0].thickness
+    kind, fields = _fields(head)
+    wavelengths = [float(w) * 1e-3 for w in head.get("WL", ["WL", "587.5618"])[1:]]
+    reference = int(float(head["REF"][1])) - 1 if "REF" in head else len(wavelengths) // 2
+    return Lens(
+        surfaces,
+        object_distance=far if 0 < far < 1e9 else np.inf,
+        aperture=_aperture(head),
+        wavelengths=wavelengths,
+        weights=[float(w) for w in head["WTW"][1:]] if "WTW" in head else None,
+        reference=min(max(reference, 0), len(wavelengths) - 1),
+        field_kind=kind,
+        fields=fields,
+        title=" ".join(head.get("TITLE", head.get("TIT", [""]))[1:]).strip("'\" "),
+        unit=_UNITS.get(head.get("DIM", ["DIM", "M"])[1].upper(), "mm"),
+        notes=notes,
+    )
+
+
+def _basic(moved: dict[str, float]) -> np.ndarray:
+    decentred = shift(*(moved.get(k, 0.0) for k in ("XDE", "YDE", "ZDE")))
+    return decentred @ turn(*(moved.get(k, 0.0) for k in ("ADE", "BDE", "CDE")))
+
+
+def _surface(
+    row: _Row,
+    i: int,
+    by_radius: bool,
+    private: dict[str, Medium],
+    path: str | PathLike[str],
+    notes: list[str],
+) -> Surface:
+    medium: Medium = AIR
+    if row.glass and not row.mirror:
+        if row.glass.upper() in private:
+            medium = private[row.glass.upper()]
+        else:
+            try:
+                medium = glass(row.glass)
+            except PrescriptionError as error:
+                raise PrescriptionError(f"{path}, line {row.line}: {error}") from None
+    curvature = row.number
+    if by_radius:
+        curvature = 1 / row.number if row.number else 0.0
+    highest = max((_COEFFICIENTS.index(k) for k, v in row.coefficients.items() if v), default=-1)
+    coefficients: tuple[float, ...] = ()
+    if highest >= 0:
+        coefficients = (
+            0.0,
+            *(row.coefficients.get(k, 0.0) for k in _COEFFICIENTS[: highest + 1]),
+        )
+    before, after = np.eye(4), np.eye(4)
+    if row.moved:
+        motion = _basic(row.moved)
+        if row.way == "REV":
+            after = np.linalg.inv(motion)
+        elif row.way == "DAR":
+            before, after = motion, np.linalg.inv(motion)
+        elif row.way == "BEN":
+            before = motion
+            after = turn(*(row.moved.get(k, 0.0) for k in ("ADE", "BDE", "CDE")))
+        else:
+            before = motion
+    size = row.size if np.isfinite(row.size) else row.edge
+    return Surface(
+        curvature=curvature,
+        thickness=row.thickness,
+        medium=medium,
+        semi_diameter=size,
+        conic=row.conic,
+        coefficients=coefficients,
+        mirror=row.mirror,
+        stop=row.stop,
+        inner=row.inner,
+        before=before,
+        after=after,
+    )
+
+
+def _aperture(head: dict[str, list[str]]) -> tuple[str, float] | None:
+    for key, kind in (("EPD", "diameter"), ("FNO", "f_number"), ("NAO", "object_na")):
+        if key in head:
+            return kind, float(head[key][1])
+    return None
+
+
+def _fields(head: dict[str, list[str]]) -> tuple[str, list[tuple[float, float]]]:
+    for kind, names in (
+        ("angle", ("XAN", "YAN")),
+        ("object_height", ("XOB", "YOB")),
+        ("image_height", ("XIM", "YIM")),
+        ("image_height", ("XRI", "YRI")),
+    ):
+        if names[0] in head or names[1] in head:
+            xs, ys = ([float(w) for w in head.get(n, [n])[1:]] for n in names)
+            count = max(len(xs), len(ys))
+            return kind, list(zip((xs + [0.0] * count)[:count], (ys + [0.0] * count)[:count]))
+    return "angle", [(0.0, 0.0)]

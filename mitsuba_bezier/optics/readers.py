@@ -1,0 +1,44 @@
+"""Choose the reader of a prescription by the suffix of its file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+
+from ..errors import FileFormatError
+from .codev import read_codev
+from .lens import Lens
+from .tables import read_csv, read_pbrt
+from .zemax import read_zemax
+
+#: Readers by suffix.
+READERS: dict[str, Callable[[str | PathLike[str]], Lens]] = {
+    ".zmx": read_zemax,
+    ".seq": read_codev,
+    ".csv": read_csv,
+    ".dat": read_pbrt,
+}
+
+
+def load(path: str | PathLike[str]) -> Lens:
+    """Return the lens of a prescription file.
+
+    Parameters
+    ----------
+    path : path
+        A ``.zmx``, ``.seq``, ``.csv`` (see `tables.read_csv`) or pbrt ``.dat`` file.
+
+    Raises
+    ------
+    FileFormatError
+        If the suffix is unknown, or the file is missing or damaged.
+    PrescriptionError
+        If the lens has what is not followed, a glass that is not known, or is impossible.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in READERS:
+        raise FileFormatError.expected(
+            "path", f"a prescription ({', '.join(READERS)})", f"{str(path)!r}"
+        )
+    return READERS[suffix](path)

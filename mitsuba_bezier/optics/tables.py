@@ -1,0 +1,216 @@
+"""Lens tables: CSV as patents print them, and the four columns of pbrt's realistic camera."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+from os import PathLike
+
+import numpy as np
+
+from ..errors import FileFormatError, PrescriptionError
+from .glass import AIR, Abbe, Constant, Medium, glass
+from .lens import Lens, Surface
+from .text import read_prescription_text
+
+#: Columns of a CSV table, and other names for them.
+COLUMNS = {
+    "radius": ("radius", "r", "radius of curvature"),
+    "curvature": ("curvature", "c"),
+    "thickness": ("thickness", "d", "distance", "t"),
+    "glass": ("glass", "material", "medium"),
+    "nd": ("nd", "n_d", "n", "index"),
+    "vd": ("vd", "v_d", "abbe", "v"),
+    "semi_diameter": ("semi_diameter", "semi-diameter", "semidiameter", "sd"),
+    "diameter": ("diameter", "dia"),
+    "conic": ("conic", "k"),
+    "stop": ("stop",),
+    "label": ("label", "comment", "name"),
+}
+
+_SETTINGS = (
+    "title",
+    "unit",
+    "object",
+    "aperture",
+    "wavelengths",
+    "reference",
+    "fields",
+    "field_kind",
+)
+
+
+def _number(text: str, where: str, name: str) -> float:
+    word = text.strip().lower()
+    if word in ("inf", "infinity", "∞", "plano", "flat"):
+        return np.inf
+    try:
+        return float(word)
+    except ValueError:
+        raise FileFormatError(
+            f"{where}: expected a number as {name}, got {text.strip()!r}"
+        ) from None
+
+
+def read_csv(path: str | PathLike[str]) -> Lens:
+    """Return the lens of a CSV table: a header, a row for each surface.
+
+    Columns are `COLUMNS`, and ``a2, a4, a6, ...`` for the even polynomial; `radius` (0 and inf are
+    planes) or `curvature`, and `thickness` are needed. A glass is a name, a code, or the pair of nd and
+    vd; ``mirror`` reflects. Lines ``# key: value`` before the header set title, unit, object (distance),
+    aperture (``f_number 2``), wavelengths (micrometres), reference (from 1), field_kind and fields.
+
+    Raises
+    ------
+    FileFormatError
+        If a column is unknown or a number is none.
+    PrescriptionError
+        If the lens is impossible.
+    """
+    lines = read_prescription_text(path).splitlines()
+    settings: dict[str, str] = {}
+    body: list[tuple[int, str]] = []
+    for count, line in enumerate(lines, start=1):
+        if line.lstrip().startswith("#"):
+            key, mark, value = line.lstrip("# ").partition(":")
+            if mark and key.strip().lower() in _SETTINGS:
+                settings[key.strip().lower()] = value.strip()
+        elif line.strip():
+            body.append((count, line))
+    if not body:
+        raise FileFormatError(f"{path}: expected a header and rows of surfaces, got an empty table")
+    names = {name: column for column, all_ in COLUMNS.items() for name in all_}
+    header = [cell.strip().lower() for cell in next(csv.reader([body[0][1]]))]
+    columns: list[str | int] = []
+    for cell in header:
+        if cell in names:
+            columns.append(names[cell])
+        elif (
+            cell[:1] == "a" and cell[1:].isdigit() and int(cell[1:]) % 2 == 0 and int(cell[1:]) > 0
+        ):
+            columns.append(int(cell[1:]))
+        else:
+            near = difflib.get_close_matches(cell, names, n=2)
+            hint = f" (nearest: {', '.join(near)})" if near else ""
+            raise FileFormatError(
+                f"{path}, line {body[0][0]}: expected columns {', '.join(COLUMNS)}, a2, a4, ..., "
+                f"got {cell!r}{hint}"
+            )
+    if "thickness" not in columns or not {"radius", "curvature"} & set(map(str, columns)):
+        raise FileFormatError(
+            f"{path}, line {body[0][0]}: expected columns radius and thickness, got {', '.join(header)}"
+        )
+    surfaces = []
+    for count, line in body[1:]:
+        cells = next(csv.reader([line]))
+        where = f"{path}, line {count}"
+        if len(cells) > len(columns):
+            raise FileFormatError(f"{where}: expected {len(columns)} cells, got {len(cells)}")
+        row = {c: cell.strip() for c, cell in zip(columns, cells) if cell.strip()}
+        surfaces.append(_surface(row, where))
+    return _lens(surfaces, settings, path)
+
+
+def _surface(row: dict[str | int, str], where: str) -> Surface:
+    def get(name: str, default: float = 0.0) -> float:
+        return _number(row[name], where, name) if name in row else default
+
+    if "curvature" in row:
+        curvature = get("curvature")
+    else:
+        radius = get("radius", np.inf)
+        curvature = 0.0 if radius == 0 or not np.isfinite(radius) else 1 / radius
+    mirror = row.get("glass", "").lower() in ("mirror", "refl")
+    medium: Medium = AIR
+    try:
+        if "glass" in row and not mirror:
+            medium = glass(row["glass"])
+        elif "nd" in row and get("nd") > 1:
+            medium = Abbe(get("nd"), get("vd")) if "vd" in row else Constant(get("nd"))
+    except PrescriptionError as error:
+        raise PrescriptionError(f"{where}: {error}") from None
+    powers = sorted(k for k in row if isinstance(k, int))
+    coefficients = [0.0] * (powers[-1] // 2 if powers else 0)
+    for power in powers:
+        coefficients[power // 2 - 1] = _number(row[power], where, f"a{power}")
+    size = get("semi_diameter", np.inf)
+    if "diameter" in row:
+        size = get("diameter") / 2
+    return Surface(
+        curvature=curvature,
+        thickness=get("thickness"),
+        medium=medium,
+        semi_diameter=size if size != 0 else np.inf,
+        conic=get("conic"),
+        coefficients=tuple(coefficients) if any(coefficients) else (),
+        mirror=mirror,
+        stop=row.get("stop", "").lower() in ("1", "yes", "true", "stop", "x", "*"),
+        label=row.get("label", ""),
+    )
+
+
+def _lens(surfaces: list[Surface], settings: dict[str, str], path: str | PathLike[str]) -> Lens:
+    where = str(path)
+    aperture = None
+    if "aperture" in settings:
+        words = settings["aperture"].split()
+        if len(words) != 2:
+            raise FileFormatError(
+                f"{where}: expected 'aperture: KIND NUMBER', got {settings['aperture']!r}"
+            )
+        aperture = (words[0], _number(words[1], where, "aperture"))
+    waves = [
+        _number(w, where, "wavelengths")
+        for w in settings.get("wavelengths", "0.5875618").replace(",", " ").split()
+    ]
+    fields = [
+        (0.0, _number(w, where, "fields"))
+        for w in settings.get("fields", "0").replace(",", " ").split()
+    ]
+    return Lens(
+        surfaces,
+        object_distance=_number(settings.get("object", "inf"), where, "object"),
+        aperture=aperture,
+        wavelengths=waves,
+        reference=int(_number(settings.get("reference", "1"), where, "reference")) - 1,
+        field_kind=settings.get("field_kind", "angle"),
+        fields=fields,
+        title=settings.get("title", ""),
+        unit=settings.get("unit", "mm"),
+    )
+
+
+def read_pbrt(path: str | PathLike[str]) -> Lens:
+    """Return the lens of a pbrt lens table: curvature radius, thickness, index, aperture diameter.
+
+    Rows run from the front element to the film; radius 0 is the stop. A first row of one number is
+    the focal length in some files, and is skipped.
+
+    Raises
+    ------
+    FileFormatError
+        If a row has no four numbers.
+    """
+    surfaces = []
+    for count, line in enumerate(read_prescription_text(path).splitlines(), start=1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words or (len(words) == 1 and not surfaces):
+            continue
+        where = f"{path}, line {count}"
+        if len(words) != 4:
+            raise FileFormatError(
+                f"{where}: expected radius, thickness, index and diameter, got {len(words)} words"
+            )
+        radius, thickness, n, diameter = (_number(w, where, "cell") for w in words)
+        surfaces.append(
+            Surface(
+                curvature=1 / radius if radius else 0.0,
+                thickness=thickness,
+                medium=Constant(n) if n > 1 else AIR,
+                semi_diameter=diameter / 2 if diameter else np.inf,
+                stop=radius == 0 and not any(s.stop for s in surfaces),
+            )
+        )
+    if not surfaces:
+        raise FileFormatError(f"{path}: expected rows of four numbers, got none")
+    return Lens(surfaces, aperture=("stop", 0.0))
