@@ -23,6 +23,7 @@ TIERS = {
     "oracles": "unit",
     "leaves": "unit",
     "models": "unit",
+    "optics": "unit",
     "io": "files",
     "figures": "files",
     "kernels": "kernel",

@@ -34,6 +34,7 @@ COMMANDS = (
     "info",
     "conformance",
     "figure",
+    "lens",
     "doctor",
 )
 

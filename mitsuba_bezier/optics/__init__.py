@@ -5,10 +5,13 @@ This layer stands above geometry; it needs no Mitsuba. Glass by name needs the e
 
 from __future__ import annotations
 
+from .beams import Spot, beam, distortion, pupil_grid, spot, used_semi_diameters
+from .drawing import draw_section, draw_spots, save_figure
 from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
 from .lens import Lens, Surface
 from .paraxial import FirstOrder, first_order
 from .readers import load
+from .report import report
 from .trace import Trace, trace
 
 __all__ = [
@@ -19,10 +22,20 @@ __all__ = [
     "FirstOrder",
     "Lens",
     "Medium",
+    "Spot",
     "Surface",
     "Trace",
+    "beam",
+    "distortion",
+    "draw_section",
+    "draw_spots",
     "first_order",
     "glass",
     "load",
+    "pupil_grid",
+    "report",
+    "save_figure",
+    "spot",
     "trace",
+    "used_semi_diameters",
 ]

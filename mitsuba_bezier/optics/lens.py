@@ -1,9 +1,9 @@
 """`Lens` and `Surface`: a prescription, as a sequence of surfaces that light meets in order.
 
-Lengths are in the unit of the prescription (`Lens.unit`, millimetres unless a file says otherwise),
-wavelengths in micrometres, angles in degrees. Each surface has a frame of its own: its vertex is the
-origin, its axis is z. A positive curvature has its centre on the side of positive z. After a mirror
-light runs against the axis, and thicknesses are negative, as in the files of optical design programs.
+Lengths are in the unit of the prescription (`Lens.unit`, millimetres unless a file says
+otherwise), wavelengths in micrometres, angles in degrees. Each surface has a frame of its own: its
+vertex is the origin, its axis is z. A positive curvature has its centre at positive z. After a
+mirror light runs against the axis, and thicknesses are negative, as in design programs.
 """
 
 from __future__ import annotations
@@ -11,10 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..errors import PrescriptionError
 from .glass import AIR, Medium
+
+if TYPE_CHECKING:
+    from .paraxial import FirstOrder
 
 
 def _identity() -> np.ndarray:
@@ -142,6 +147,9 @@ class Lens:
         One of `FIELDS`.
     fields : sequence of (float, float)
         x and y of each field: degrees or lengths.
+    vignetting : sequence of (float, float, float, float), optional
+        For each field how its beam is cut in the pupil: shifts dx, dy and compressions cx, cy,
+        ``x' = dx + (1 - cx) x``.
     title, unit : str
         Name and unit of length (``mm``, ``cm``, ``m``, ``in``).
     notes : sequence of str
@@ -156,9 +164,10 @@ class Lens:
     Examples
     --------
     >>> from mitsuba_bezier.optics import Abbe, Lens, Surface
-    >>> lens = Lens([Surface(1 / 50, 4, Abbe(1.5168, 64.17), 10), Surface(-1 / 50, 47, semi_diameter=10)])
+    >>> front = Surface(1 / 50, 4, Abbe(1.5168, 64.17), semi_diameter=10)
+    >>> lens = Lens([front, Surface(-1 / 50, 47, semi_diameter=10)])
     >>> round(lens.paraxial().focal_length, 3)
-    49.047
+    49.043
     """
 
     surfaces: Sequence[Surface]
@@ -169,6 +178,7 @@ class Lens:
     reference: int = 0
     field_kind: str = "angle"
     fields: Sequence[tuple[float, float]] = ((0.0, 0.0),)
+    vignetting: Sequence[tuple[float, float, float, float]] | None = None
     title: str = ""
     unit: str = "mm"
     notes: Sequence[str] = ()
@@ -209,6 +219,14 @@ class Lens:
                     f"{s.semi_diameter:.6g}",
                 )
 
+    def vignetted(self, field: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
+        """Return points ``(N, 2)`` of the unit disk as the beam of a field fills the pupil."""
+        for known, factors in zip(self.fields, self.vignetting or ()):
+            if tuple(known) == tuple(field):
+                dx, dy, cx, cy = factors
+                return np.asarray(pupil, float) * [1 - cx, 1 - cy] + [dx, dy]
+        return pupil
+
     @property
     def stop(self) -> int:
         """Index of the aperture stop; the first surface if none is marked."""
@@ -227,7 +245,7 @@ class Lens:
         return np.array([float(m.index(wavelength)) for m in self.media()])
 
     def directions(self) -> np.ndarray:
-        """Return ``(S + 1,)`` 1 or -1: along or against the axis, before the first and behind each."""
+        """Return 1 or -1, ``(S + 1,)``: along or against the axis before and behind each."""
         turns = [1.0] + [-1.0 if s.mirror else 1.0 for s in self.surfaces]
         return np.cumprod(turns)
 
@@ -252,7 +270,7 @@ class Lens:
         signs = self.directions()
         for i, (a, b) in enumerate(zip(self.surfaces, self.surfaces[1:], strict=False)):
             moved = not (np.allclose(a.after, np.eye(4)) and np.allclose(b.before, np.eye(4)))
-            r = min(a.semi_diameter, b.semi_diameter, a.reach(), b.reach())
+            r = min(a.semi_diameter, b.semi_diameter)
             if moved or not np.isfinite(r):
                 continue
             rs = np.linspace(0, r, 65)
@@ -304,7 +322,7 @@ class Lens:
             fields=fields,
         )
 
-    def paraxial(self, wavelength: float | None = None):  # type: ignore[no-untyped-def]
+    def paraxial(self, wavelength: float | None = None) -> FirstOrder:
         """Return first-order data, `mitsuba_bezier.optics.paraxial.FirstOrder`."""
         from .paraxial import first_order
 

@@ -19,8 +19,9 @@ from .lens import Lens
 class FirstOrder:
     """First-order data of a lens at one wavelength.
 
-    Lengths are in the lens's unit. Places before the lens are measured from the first vertex, places
-    behind it from the last; both are positive along the axis. Infinite values are of afocal systems.
+    Lengths are in the lens's unit. Places before the lens are measured from the first vertex,
+    places behind it from the last; both are positive along the axis. Afocal systems have infinite
+    values. A focal length is positive if the lens converges, also if it has mirrors.
 
     Attributes
     ----------
@@ -131,7 +132,7 @@ def first_order(lens: Lens, wavelength: float | None = None) -> FirstOrder:
     """
     w = float(lens.wavelengths[lens.reference] if wavelength is None else wavelength)
     systems, n = matrices(lens, w)
-    (a, b), (c, d) = systems[-1]
+    (a, _b), (c, d) = systems[-1]
     n0, n1 = n[0], n[-1]
     with np.errstate(divide="ignore", invalid="ignore"):
         focal = np.divide(-n1, c) * np.sign(n1)  # the sign of power does not depend on mirrors

@@ -56,9 +56,10 @@ def read_csv(path: str | PathLike[str]) -> Lens:
     """Return the lens of a CSV table: a header, a row for each surface.
 
     Columns are `COLUMNS`, and ``a2, a4, a6, ...`` for the even polynomial; `radius` (0 and inf are
-    planes) or `curvature`, and `thickness` are needed. A glass is a name, a code, or the pair of nd and
-    vd; ``mirror`` reflects. Lines ``# key: value`` before the header set title, unit, object (distance),
-    aperture (``f_number 2``), wavelengths (micrometres), reference (from 1), field_kind and fields.
+    planes) or `curvature`, and `thickness` are needed. A glass is a name, a code, or the pair of nd
+    and vd; ``mirror`` reflects. Lines ``# key: value`` before the header set title, unit, object
+    (distance), aperture (``f_number 2``), wavelengths (micrometres), reference (from 1),
+    field_kind and fields.
 
     Raises
     ------
@@ -98,7 +99,8 @@ def read_csv(path: str | PathLike[str]) -> Lens:
             )
     if "thickness" not in columns or not {"radius", "curvature"} & set(map(str, columns)):
         raise FileFormatError(
-            f"{path}, line {body[0][0]}: expected columns radius and thickness, got {', '.join(header)}"
+            f"{path}, line {body[0][0]}: expected columns radius and thickness, got "
+            + ", ".join(header)
         )
     surfaces = []
     for count, line in body[1:]:
@@ -191,7 +193,7 @@ def read_pbrt(path: str | PathLike[str]) -> Lens:
     FileFormatError
         If a row has no four numbers.
     """
-    surfaces = []
+    surfaces: list[Surface] = []
     for count, line in enumerate(read_prescription_text(path).splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words or (len(words) == 1 and not surfaces):

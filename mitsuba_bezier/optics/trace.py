@@ -80,9 +80,7 @@ def meet(surface: Surface, o: np.ndarray, d: np.ndarray) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             step = gap / rate
         t = t - step
-        size = 1e-15 * (
-            np.abs(t) + np.abs(surface.semi_diameter if np.isfinite(surface.semi_diameter) else 1)
-        )
+        size = 1e-15 * (np.abs(t) + np.linalg.norm(o, axis=1))
         if not (np.abs(step) > size).any():
             break
     with np.errstate(invalid="ignore"):
@@ -99,8 +97,8 @@ def normals(surface: Surface, p: np.ndarray) -> np.ndarray:
 def refract(d: np.ndarray, n: np.ndarray, before: np.ndarray, behind: np.ndarray) -> np.ndarray:
     """Return refracted unit directions; NaN where light is totally reflected.
 
-    `n` is a unit normal on either side. ``d' = m d + (sqrt(1 - m^2 (1 - (n d)^2)) - m (n d)) n`` with
-    m = n_before / n_behind and n along d.
+    `n` is a unit normal on either side. With m = n_before / n_behind and n along d,
+    ``d' = m d + (sqrt(1 - m^2 (1 - (n d)^2)) - m (n d)) n``.
     """
     along = np.sum(n * d, axis=1, keepdims=True)
     n = np.where(along < 0, -n, n)

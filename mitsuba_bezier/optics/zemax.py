@@ -17,9 +17,21 @@ from .text import read_prescription_text
 _UNITS = {"MM": "mm", "CM": "cm", "IN": "in", "INCH": "in", "M": "m", "METER": "m", "METERS": "m"}
 
 #: What changes no ray of a sequential trace: colours, tolerances, plots, coatings by file.
-_SILENT = set(
-    ["VERS", "MODE", "PFIL", "LANG", "PUSH", "RAIM", "SDMA", "ROPD", "PICB", "GLRS", "GSTD", "NSCD", "COFN", "HIDE", "MIRR", "SLAB", "POPS", "BLNK", "NOTE", "TOL", "TOLE", "MNUM", "MOFF", "MEMA", "FIMP", "OPDX", "GFAC", "ENVD", "VANN", "FWGN", "VDXN", "VDYN", "VCXN", "VCYN", "POLS", "TRAC", "VDSZ", "PZUP", "PPAR", "OMMA", "REAY", "REAX", "ACOS", "HYPR", "GLCB", "XDAT", "OBDC", "COMM", "NAME", "UNIT", "ENPD", "FNUM", "OBNA", "FLOA", "FTYP", "XFLN", "YFLN", "XFLD", "YFLD", "WAVM", "WAVL", "WAVN", "WWGT", "WWGN", "PWAV", "GCAT", "SURF", "TYPE", "CURV", "DISZ", "GLAS", "CONI", "DIAM", "PARM", "STOP", "CLAP", "FLAP", "CIGA", "COAT", "EFFL", "SCBD", "PKUP", "TCED", "TCMM", "TEMP", "TCE", "DMFS", "MAZH", "RWRE", "FWGT", "RSCE", "CFWD", "BLNK"]
-)
+_SILENT = frozenset(
+    (
+        "ACOS", "BLNK", "CFWD", "CIGA", "CLAP", "COAT", "COFN", "COMM", "CONI",
+        "CURV", "DIAM", "DISZ", "DMFS", "EFFL", "ENPD", "ENVD", "FIMP", "FLAP",
+        "FLOA", "FNUM", "FTYP", "FWGN", "FWGT", "GCAT", "GFAC", "GLAS", "GLCB",
+        "GLRS", "GSTD", "HIDE", "HYPR", "LANG", "MAZH", "MEMA", "MIRR", "MNUM",
+        "MODE", "MOFF", "NAME", "NOTE", "NSCD", "OBDC", "OBNA", "OMMA", "OPDX",
+        "PARM", "PFIL", "PICB", "PKUP", "POLS", "POPS", "PPAR", "PUSH", "PWAV",
+        "PZUP", "RAIM", "REAX", "REAY", "ROPD", "RSCE", "RWRE", "SCBD", "SDMA",
+        "SLAB", "STOP", "SURF", "TCE", "TCED", "TCMM", "TEMP", "TOL", "TOLE",
+        "TRAC", "TYPE", "UNIT", "VANN", "VCXN", "VCYN", "VDSZ", "VDXN", "VDYN",
+        "VERS", "WAVL", "WAVM", "WAVN", "WWGN", "WWGT", "XDAT", "XFLD", "XFLN",
+        "YFLD", "YFLN",
+    )
+)  # fmt: skip
 
 #: Aperture shapes of which only the outer circle is followed, or none of it.
 _APERTURES = {
@@ -138,6 +150,10 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
     unit = _UNITS.get(head.get("UNIT", ["UNIT", "MM"])[1].upper(), "mm")
     wavelengths, weights, reference = _wavelengths(head, waves)
     kind, fields = _fields(head)
+    factors = [
+        ([float(w) for w in head.get(n, [n])[1:]] + [0.0] * len(fields))[: len(fields)]
+        for n in ("VDXN", "VDYN", "VCXN", "VCYN")
+    ]
     object_distance = rows[0].thickness if rows else np.inf
     surfaces, said = _surfaces(rows[1:-1], path)
     notes += said
@@ -150,6 +166,7 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
         reference=reference,
         field_kind=kind,
         fields=fields,
+        vignetting=list(zip(*factors)),
         title=" ".join(head.get("NAME", ["NAME"])[1:]),
         unit=unit,
         notes=notes,
@@ -205,7 +222,7 @@ def _surfaces(rows: list[_Row], path: str | PathLike[str]) -> tuple[list[Surface
             continue
         if row.kind not in ("STANDARD", "EVENASPH"):
             raise PrescriptionError(
-                f"{path}, {where}: expected a surface STANDARD, EVENASPH or COORDBRK, got {row.kind}"
+                f"{path}, {where}: expected STANDARD, EVENASPH or COORDBRK, got {row.kind}"
             )
         mirror = bool(row.glass) and row.glass[0].upper() == "MIRROR"
         size = row.outer or row.diameter

@@ -29,6 +29,7 @@ LAYERS = {
     "oracles": 15,
     "io": 20,
     "kernels": 20,
+    "optics": 25,
     "verification": 20,
     "plugins": 30,
     "models": 35,
@@ -45,6 +46,7 @@ FORBIDDEN = {
     "oracles": {"mitsuba", "drjit", "scipy"},
     "kernels": {"mitsuba"},
     "io": {"mitsuba", "drjit"},
+    "optics": {"mitsuba", "drjit"},
 }
 
 
