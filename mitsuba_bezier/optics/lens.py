@@ -10,15 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import PrescriptionError
 from .glass import AIR, Medium
-
-if TYPE_CHECKING:
-    from .paraxial import FirstOrder
 
 
 def _identity() -> np.ndarray:
@@ -162,10 +158,10 @@ class Lens:
 
     Examples
     --------
-    >>> from mitsuba_bezier.optics import Abbe, Lens, Surface
+    >>> from mitsuba_bezier.optics import Abbe, Lens, Surface, first_order
     >>> front = Surface(1 / 50, 4, Abbe(1.5168, 64.17), semi_diameter=10)
     >>> lens = Lens([front, Surface(-1 / 50, 47, semi_diameter=10)])
-    >>> round(lens.paraxial().focal_length, 3)
+    >>> round(first_order(lens).focal_length, 3)
     49.043
     """
 
@@ -320,9 +316,3 @@ class Lens:
             aperture=aperture,
             fields=fields,
         )
-
-    def paraxial(self, wavelength: float | None = None) -> FirstOrder:
-        """Return first-order data, `mitsuba_bezier.optics.paraxial.FirstOrder`."""
-        from .paraxial import first_order
-
-        return first_order(self, wavelength)
