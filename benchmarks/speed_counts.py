@@ -29,14 +29,14 @@ RECORDS = {
     "far_nets": "projective nets",
     "groups": "quadrics",
     "members": "their patches",
-    "rows": "their inverses",
-    "planes": "sections",
+    "inverses": "their inverses",
+    "polynomials": "their polynomials",
     "domain": "domains",
 }
 #: Most places in the kernels that gather from one buffer.
 PLACES = 8
 #: Those in float64.
-WIDE = ("far_nets", "groups", "rows")
+WIDE = ("far_nets", "groups", "inverses")
 
 
 @contextmanager

@@ -19,6 +19,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.structure import Structure, build_structure
 from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import INVERTED_KINDS, LeafKind
 
 __all__ = ["measure", "net_bytes", "sections"]
 
@@ -58,9 +59,9 @@ def _timed_tree() -> Iterator[dict[str, float]]:
 def net_bytes(structure: Structure) -> int:
     """Return the bytes of the nets alone: what any representation of the leaves must keep."""
     return (
-        structure.has_affine * len(structure.nets) * 4
-        + structure.has_projective * len(structure.far_nets) * 8
-        + structure.has_sections * len(structure.planes) * 4
+        structure.has(LeafKind.GRAPH_AFFINE) * len(structure.nets) * 4
+        + structure.has(LeafKind.GRAPH_PROJECTIVE) * len(structure.far_nets) * 8
+        + structure.has(LeafKind.PLANE_SECTIONS, *INVERTED_KINDS) * len(structure.polynomials) * 4
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -121,7 +120,7 @@ def assert_found_among_others(parts: list[mb.BezierTriangles], others: float = 0
     """
     first = np.cumsum([0, *(len(p) for p in parts)])
     leaves = [build_leaves(p) for p in parts]
-    leaves = [replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())]
+    leaves = [x.of_patches(k + np.arange(len(p))) for x, p, k in zip(leaves, parts, first.tolist())]
     structure = build_structure(Leaves.join(leaves), Float)
     for part, begin in zip(parts, first.tolist()):
         o, d = rays(part, 3000)

@@ -177,7 +177,7 @@ def _trace(
     """Trace the rays of a queue."""
     for _round in range(_ROUNDS):
         found, walk = _walk_to_candidates(s, ty, rays, nearest.t, queue, any_hit)
-        if any_hit and s.decides:
+        if any_hit and s.has_certain_hits:
             ray = dr.arange(ty.UInt, queue.count) if queue.ray is None else queue.ray
             dr.scatter(nearest.leaf, found, ray, found == _SURE)
         place = dr.compress(found < _SURE)
@@ -272,7 +272,7 @@ def _walk_to_candidates(
 
         def look(walk: Any, o: Any, d: Any, t: Any) -> Any:
             leaves, leaf, line = take_candidate(s, ty, first, walk.leaves, o, d, t, run, any_hit)
-            if any_hit and s.decides:
+            if any_hit and s.has_certain_hits:
                 leaf = dr.select((leaf != NO_LEAF) & line.sure, _SURE, leaf)
             return replace(walk, leaves=leaves), leaf
 

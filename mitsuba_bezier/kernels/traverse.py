@@ -1,4 +1,4 @@
-"""Traversal of the tree: the nearest hit, or any hit, of rays with all leaves."""
+"""Traverse the BVH: the nearest hit, or any hit, of rays with all leaves."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 import drjit as dr
 
 from ..leaves.bvh import NO_LEAF
-from .arrays import Types, dot3, gather_packets, reciprocal, types_of
+from ..leaves.records import INVERTED_KINDS, LeafKind
+from .arrays import Types, dot3, reciprocal, types_of
 from .closed_form.newton import section_parameters
 from .closed_form.quadric import group_hit
 from .graph.chart import ChartLine, cull
 from .graph.march import march
+from .records import is_kind
 from .structure import DOMAIN, Structure
 from .walk import Slabs, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
 
@@ -89,7 +91,7 @@ def _meet_group(
 
 
 def is_ray(o: list[Any], d: list[Any], t_max: Any) -> Any:
-    """Tell which rays are rays; others, with NaN or without a direction, are misses."""
+    """Return a mask of rays that are rays; others, with NaN or no direction, are misses."""
     length2 = dot3(d, d)
     # NaN fails all comparisons
     return (dot3(o, o) < dr.inf) & (length2 > 0.0) & (length2 < dr.inf) & (t_max > 0.0)
@@ -165,7 +167,7 @@ def meet(
     leaf : UInt
         For a group, the member.
     """
-    if any_hit and s.decides:
+    if any_hit and s.has_certain_hits:
         hit, *found = dr.if_stmt(
             args=(index, line, t_max),
             cond=active & ~line.sure,
@@ -210,27 +212,27 @@ def finish(
     if any_hit:
         zero = dr.zeros(ty.Float)
         return Hit(valid, t, ty.UInt(0), zero, zero)
-    if dr.width(s.domain) < s.leaf_count * DOMAIN:  # patches are leaves, and of one kind
-        if s.has_sections:
+    if s.domain is None:  # patches are leaves, and of one kind
+        if s.has(LeafKind.PLANE_SECTIONS):
             u, v = section_parameters(s, ty, leaf, u, v, valid)
         return Hit(valid, t, dr.select(valid, leaf, 0), u, v)
-    m = gather_packets(s.domain, dr.select(valid, leaf, 0), DOMAIN, valid)
-    patch = dr.reinterpret_array(ty.UInt, m[9])
-    if s.has_sections:
-        u, v = section_parameters(s, ty, leaf, u, v, valid & (m[11] == 1.0))
-    if s.has_cones:  # counted from their apex on
+    m = DOMAIN.gather(s.domain, dr.select(valid, leaf, 0), valid)
+    if s.has(LeafKind.PLANE_SECTIONS):
+        is_section = is_kind(m.kind, LeafKind.PLANE_SECTIONS)
+        u, v = section_parameters(s, ty, leaf, u, v, valid & is_section)
+    if s.has(LeafKind.CONE):  # counted from their apex on
         w = 1.0 - u - v
-        first, second = m[11] == -1.0, m[11] == -2.0
+        first, second = m.corner == 0, m.corner == 1
         u, v = (
             dr.select(first, w, dr.select(second, v, u)),
             dr.select(first, u, dr.select(second, w, v)),
         )
-    if s.has_graphs or s.has_inverted:  # or leaves are patches
+    if s.has_graphs or s.has(*INVERTED_KINDS):  # or leaves are patches
         w = 1.0 - u - v
-        bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
+        bary = [dr.fma(row[0], u, dr.fma(row[1], v, row[2] * w)) for row in m.map]
         inv = reciprocal(bary[0] + bary[1] + bary[2])
         u, v = bary[0] * inv, bary[1] * inv
-    return Hit(valid, t, patch, u, v)
+    return Hit(valid, t, m.patch, u, v)
 
 
 def take_candidate(
@@ -265,7 +267,7 @@ def cull_leaf(
     if not s.has_graphs:
         return active, ChartLine.zero(ty)
     graph = active & (leaf < s.first_group) if s.has_groups else active
-    candidate, line = cull(s, ty, leaf, o, d, t_max, graph, any_hit and s.decides)
+    candidate, line = cull(s, ty, leaf, o, d, t_max, graph, any_hit and s.has_certain_hits)
     if s.has_groups:
         line = replace(line, sure=line.sure & graph)
     return active & (candidate | ~graph), line

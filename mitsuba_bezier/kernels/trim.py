@@ -1,4 +1,4 @@
-"""Whether a hit is trimmed away: crossings of a ray in (s, t) with the boundary's pieces.
+"""Find whether a hit is trimmed away, by crossings of a ray in (s, t) with the boundary's pieces.
 
 ``geometry.trim_cells`` gives the tables and the argument. Everything is float32: coordinates
 are those of a patch's unit square, so a point within `SLACK` of a curve, ten roundings, belongs
@@ -80,14 +80,13 @@ def leaf_test(s: Structure, leaf: Any) -> Any:
     ty = types_of(s.domain)
 
     def kept(u: Any, v: Any, active: Any) -> Any:
-        m = gather_packets(s.domain, leaf, DOMAIN, active)
-        cell = dr.reinterpret_array(ty.UInt, m[10])
-        tested = active & (cell > 0)
+        m = DOMAIN.gather(s.domain, leaf, active, "cell")
+        tested = active & (m.cell > 0)
         u, v = ty.Float(u), ty.Float(v)
         w = 1.0 - u - v
-        bary = [dr.fma(m[3 * r], u, dr.fma(m[3 * r + 1], v, m[3 * r + 2] * w)) for r in range(3)]
+        bary = [dr.fma(row[0], u, dr.fma(row[1], v, row[2] * w)) for row in m.map]
         inv = reciprocal(bary[0] + bary[1] + bary[2])
-        return ~tested | keep(table, cell - 1, bary[0] * inv, bary[1] * inv, tested)
+        return ~tested | keep(table, m.cell - 1, bary[0] * inv, bary[1] * inv, tested)
 
     return kept
 

@@ -1,8 +1,8 @@
-"""From patches to leaves: closed forms first, subdivision for the rest (see `leaves`)."""
+"""Cut patches into leaves: those with a closed form first, the rest by subdivision."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,17 +13,11 @@ from ..geometry.triangles import BezierTriangles
 from .closed_form.affine_frames import affine_frames
 from .closed_form.degree_reduction import reduce_degree
 from .closed_form.groups import in_space_of
-from .closed_form.inverted import inverted_leaves
-from .closed_form.plane_sections import section_leaves
-from .closed_form.sectors import sector_leaves
-from .closed_form.stereographic import exact_leaves
+from .closed_form.kinds import CLOSED_FORM_KINDS, Finder
 from .graph.subdivision import subdivide
-from .records import DEVIATION, LeafSettings, Leaves
+from .records import ClosedFormLeaves, GraphLeaves, LeafSettings, Leaves
 
 __all__ = ["build_leaves", "rebuild_leaves"]
-
-#: Finds patches with a closed form, and returns which and their leaves.
-Finder = Callable[[BezierTriangles], tuple[np.ndarray, Leaves]]
 
 #: Patches looked at together, and subdivided: bounds the memory of the build, not its result, but
 #: that patches on one quadric on both sides of such a border are two groups.
@@ -49,23 +43,15 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     nets = free_of_factor(patches.control_points)
     surfaces = np.flatnonzero(spans_area(nets))
     if len(surfaces) < len(patches):  # no ray meets the others
-        parts = [Leaves.empty(nets.shape[1])]
-        if len(surfaces):
-            leaves = build_leaves(BezierTriangles(nets[surfaces]), settings)
-            parts.append(replace(leaves, patch=surfaces[leaves.patch]))
-        return Leaves.join(parts)
+        if not len(surfaces):
+            return Leaves(GraphLeaves.zeros(), ClosedFormLeaves.zeros())
+        return build_leaves(BezierTriangles(nets[surfaces]), settings).of_patches(surfaces)
     if nets is not patches.control_points:
         patches = BezierTriangles(nets)
     numbers = np.arange(len(patches))
-    parts = []
+    parts: list[ClosedFormLeaves] = []
     if settings.closed_form:
-        quadratic: list[Finder] = [exact_leaves]
-        if settings.sections:
-            quadratic.append(sector_leaves)
-        finders: list[Finder] = [*quadratic, partial(_elevated_leaves, finders=quadratic)]
-        if settings.sections:
-            finders.append(section_leaves)
-        finders.append(inverted_leaves)
+        finders = _finders(settings)
         left = np.ones(len(patches), dtype=bool)
         for frame in affine_frames(patches):
             body = patches[frame.which]
@@ -78,15 +64,24 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
             parts += [replace(leaves, patch=numbers[leaves.patch]) for leaves in others]
             numbers = numbers[rest]
         nets = nets[numbers]
+    graphs: list[GraphLeaves] = []
     for first in range(0, len(numbers), _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        parts.extend(subdivide(nets[chunk], numbers[chunk], settings))
-    return Leaves.join(parts)
+        graphs.extend(subdivide(nets[chunk], numbers[chunk], settings))
+    return Leaves(GraphLeaves.join(graphs), ClosedFormLeaves.join(parts))
+
+
+def _finders(settings: LeafSettings) -> list[Finder]:
+    """Return what looks for closed forms, in order."""
+    wanted = [f for f in CLOSED_FORM_KINDS if settings.sections or f.gives_parameters]
+    lower = [f.find for f in wanted if f.of_elevations]
+    others = [f.find for f in wanted if not f.of_elevations]
+    return [*lower, partial(_elevated_leaves, finders=lower), *others]
 
 
 def _closed_forms(
     patches: BezierTriangles, finders: Sequence[Finder]
-) -> tuple[list[Leaves], np.ndarray]:
+) -> tuple[list[ClosedFormLeaves], np.ndarray]:
     """Let each of `finders` look at what those before it left; return leaves and what is left."""
     parts = []
     numbers = np.arange(len(patches))
@@ -105,10 +100,10 @@ def _closed_forms(
 
 def _elevated_leaves(
     patches: BezierTriangles, finders: Sequence[Finder]
-) -> tuple[np.ndarray, Leaves]:
+) -> tuple[np.ndarray, ClosedFormLeaves]:
     """Find patches that are elevations of those that `finders` find."""
     found = np.zeros(len(patches), dtype=bool)
-    parts = [Leaves.empty(patches.control_points.shape[1])]
+    parts = []
     for degree in range(1, min(patches.degree, 3)):
         numbers = np.flatnonzero(~found)
         if not len(numbers):
@@ -117,11 +112,11 @@ def _elevated_leaves(
         if lower is None:
             continue
         for leaves in _closed_forms(lower, finders)[0]:
-            leaves.form[:, DEVIATION] += residual[leaves.patch]
+            leaves.deviation += residual[leaves.patch]
             leaves.patch = numbers[reducible][leaves.patch]
             found[leaves.patch] = True
             parts.append(leaves)
-    return found, Leaves.join(parts)
+    return found, ClosedFormLeaves.join(parts)
 
 
 def rebuild_leaves(
@@ -148,11 +143,11 @@ def rebuild_leaves(
     if nets.shape != old.shape:
         return build_leaves(patches, settings)
     changed = (nets != old).any(axis=(1, 2))
-    changed[leaves.patch[leaves.exact]] = True
+    changed[leaves.closed_form.patch] = True
     if changed.all():
         return build_leaves(patches, settings)
     kept = leaves.select(~changed[leaves.patch])
     if not changed.any():
         return kept
     again = build_leaves(patches[changed], settings)
-    return Leaves.join([kept, replace(again, patch=np.flatnonzero(changed)[again.patch])])
+    return Leaves.join([kept, again.of_patches(np.flatnonzero(changed))])

@@ -1,44 +1,51 @@
 """Cut patches into leaves on which a ray meets the surface in a way that can be certified.
 
-A *leaf* is a sub-triangle of a patch together with a chart, a collineation ``M`` of space in
-which the leaf is nearly the unit triangle: the rows of ``M`` give homogeneous coordinates
-``(x, y, z, W)`` of a point, the corners lie near ``(1,0,0,1), (0,1,0,1), (0,0,0,1)``, and the
-surface is the graph ``z = h(x, y)`` of a function close to a quadratic one. There are two kinds:
+A *leaf* is a sub-triangle of a patch, mostly all of it. Its `LeafKind` says how a ray meets it.
 
-*exact* leaves
-    A whole patch whose inverse is linear: three rows take a point ``(p - shift, 1)`` of the
-    patch to a multiple of its barycentrics, and the patch lies on a quadric, whose matrix we
-    store. Every intersection has a closed form. All patches of `quadric_patch` and all planar
-    triangles of degree one are of this kind. So are patches of higher degree on an ellipsoid
-    whose edges are plane sections: then the rows give the stereographic coordinates of a point,
-    and the net stores two complex polynomials, from which the parameters are found. So are
-    sectors of cones, with four rows. And so are all other patches on quadrics and in
-    planes, *inverted*: their parameters tell whether a point is on them. They may be cut.
-*graph* leaves
-    Everything else, subdivided until the bounds below are small. For them we store the
-    quadratic ``a xy + b x(1-x-y) + c y(1-x-y)`` next to ``h`` and
+`ClosedFormLeaves`
+    Patches on quadrics and in planes. The ray meets the quadric in closed form, and what the leaf
+    stores tells whether the point is on the patch, and with which parameters. The rows of a leaf
+    are linear forms of ``(p - shift, 1)``:
+
+    * `LINEAR`: three rows give a multiple of the barycentrics. So it is for all patches of
+      `quadric_patch` and all planar triangles of degree one.
+    * `CONE`: sectors of cones, with four rows, see `closed_form.sectors`.
+    * `PLANE_SECTIONS`: patches of higher degree on an ellipsoid whose edges are plane sections.
+      The rows give stereographic coordinates, and two complex polynomials the parameters from
+      these, by Newton's method, once the hit is known.
+    * `INVERTED`, `INVERTED_APEX`: all other patches, which may be cut. Their parameters, found by
+      Newton's method in the same way, tell whether a point is on them. The second kind is projected
+      along the axis of a cone, and a fourth row tells two points apart.
+
+`GraphLeaves`
+    Everything else, subdivided until the bounds below are small. The *chart* of a leaf is a
+    collineation of space in which the leaf is nearly the unit triangle: its rows give homogeneous
+    coordinates ``(x, y, z, W)`` of a point, the corners lie near ``(1,0,0,1), (0,1,0,1),
+    (0,0,0,1)``, and the surface is the graph ``z = h(x, y)`` of a function close to a quadratic
+    one, ``a xy + b x(1-x-y) + c y(1-x-y)``. Stored are the quadratic and
 
     * ``remainder`` >= |h - quadratic|,
     * ``variation`` >= spectral norm of Hess(h) - Hess(quadratic),
     * ``bending``: so that ``bending d^2`` is at least the error, at distance d, of h's tangent
       plane with the quadratic's second derivative,
-    * ``margin``: how far the leaf reaches out of the unit triangle in the chart,
     * ``outward`` and ``inward``, three of each: the leaf has only points whose barycentrics in the
       chart are at least ``-outward``, and covers all where they are at least ``inward``,
 
     proved (`graph.bounds`) over an enlarged triangle of parameters, one of the `SIZES`, whose image
-    holds the unit triangle enlarged by the margin; and two more quadratics of the
-    same form, which take ``(x, y)`` near to ``(u, v)``. The chart is affine where the weights
-    of the leaf are of one sign and nearly equal, else projective (then W is not constant).
-    ``docs/intersection.md`` says how the kernel uses them.
+    holds the unit triangle enlarged by the largest of ``outward``; and two more quadratics of the
+    same form, which take ``(x, y)`` near to ``(u, v)``. The chart is affine (`GRAPH_AFFINE`) where
+    the weights of the leaf are of one sign and nearly equal, else projective (`GRAPH_PROJECTIVE`;
+    then W is not constant). ``docs/intersection.md`` says how the kernel uses them.
 
-Everything is float64; what the kernel stores in float32 (``shift``, ``frame``) is rounded here
+Everything is float64; what the kernel stores in float32 (``shift``, ``chart``) is rounded here
 *before* the net is expressed in it, so that the rounding moves no surface point.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -46,54 +53,47 @@ from ..geometry import bernstein
 
 __all__ = [
     "BENDING_LIMIT",
-    "DEVIATION",
-    "FORM",
-    "FORM_ENTRIES",
-    "INVERTED",
-    "INWARD",
-    "LEAST",
+    "CLOSED_FORMS",
+    "GRAPHS",
+    "INVERTED_KINDS",
     "LEAST_REACH",
-    "MARGINS",
-    "OUTWARD",
-    "SECTION",
+    "NO_APEX",
+    "QUADRIC_ENTRIES",
     "SIZES",
+    "ClosedFormLeaves",
+    "GraphLeaves",
+    "LeafKind",
     "LeafSettings",
     "Leaves",
-    "pack_bending",
     "round_reach",
-    "unpack_bending",
     "weight_signs",
 ]
 
 
-#: Numbers in `Leaves.form`.
-FORM = 19
+class LeafKind(IntEnum):
+    """How a ray meets a leaf; see the module's docstring."""
 
-#: Place in the form of an exact leaf of a lower bound on ``|U_0 + U_1 + U_2|`` over the patch,
-#: where the rows of the frame give ``U`` on ``(p - shift, 1)``. All four vanish at the centre of
-#: projection, which is not on the patch unless this is zero.
-LEAST = 10
+    GRAPH_AFFINE = 0
+    GRAPH_PROJECTIVE = 1
+    LINEAR = 2
+    CONE = 3
+    PLANE_SECTIONS = 4
+    INVERTED = 5
+    INVERTED_APEX = 6
 
-#: Place of the largest distance of an exact leaf's patch from its quadric, in patch sizes.
-DEVIATION = 11
 
-#: Place of the mark of an exact leaf whose frame does not give barycentrics: 1 if it gives
-#: stereographic coordinates, and barycentrics need a few steps of Newton's method, on the net
-#: (`plane_sections`); `INVERTED` if such parameters tell whether a point is on the patch at all
-#: (`inverted`); -1, -2 or -3 for a sector of a cone with its apex in this corner
-#: (`sectors`).
-SECTION = 12
-INVERTED = 2.0
+#: Kinds of graph leaves, and all others.
+GRAPHS = frozenset({LeafKind.GRAPH_AFFINE, LeafKind.GRAPH_PROJECTIVE})
+CLOSED_FORMS = frozenset(LeafKind) - GRAPHS
 
-#: Places in the form of a graph leaf of its `outward` and `inward`.
-OUTWARD = slice(13, 16)
-INWARD = slice(16, 19)
+#: Kinds whose parameters tell whether a point is on a leaf at all.
+INVERTED_KINDS = frozenset({LeafKind.INVERTED, LeafKind.INVERTED_APEX})
 
-#: ... and of an inverted leaf of how far its plane barycentrics go below zero (`inverted`).
-MARGINS = slice(13, 16)
+#: `ClosedFormLeaves.corner` of leaves that are no sectors of cones: their parameters are in order.
+NO_APEX = 2
 
-#: Order of the ten entries of a symmetric form in `Leaves.form`.
-FORM_ENTRIES = (
+#: Order of the ten entries of a symmetric matrix in `ClosedFormLeaves.quadric`.
+QUADRIC_ENTRIES = (
     (0, 0),
     (1, 1),
     (2, 2),
@@ -113,23 +113,8 @@ SIZES = tuple(0.004 * 2 ** (k / 2) for k in range(16))
 #: The least that `round_reach` returns.
 LEAST_REACH = 2.0**-14
 
-#: The bending of graph leaves is below this, so that one number holds it and the size.
+#: The bending of graph leaves is below this, so that the device has it and the size in one number.
 BENDING_LIMIT = 16.0
-
-
-def pack_bending(bending: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return ``bending + BENDING_LIMIT * size``, rounded up to what float32 can hold.
-
-    Parameters
-    ----------
-    bending : (L,) array
-        At least 0, below `BENDING_LIMIT` where it matters.
-    size : (L,) int array
-        Index of `SIZES`.
-    """
-    # 2^-14: four bits for the size and four in front of the point leave it exact in 24
-    steps = np.ceil(np.minimum(bending, BENDING_LIMIT - 2.0**-14) * 2.0**14)
-    return steps / 2.0**14 + BENDING_LIMIT * size
 
 
 def round_reach(reach: np.ndarray) -> np.ndarray:
@@ -149,12 +134,6 @@ def weight_signs(nets: np.ndarray) -> np.ndarray:
     return np.where((w > 0).all(axis=1), 1.0, np.where((w < 0).all(axis=1), -1.0, 0.0))
 
 
-def unpack_bending(packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bending and size of what `pack_bending` gave."""
-    size = np.floor(packed / BENDING_LIMIT)
-    return packed - BENDING_LIMIT * size, size.astype(int)
-
-
 @dataclass(frozen=True)
 class LeafSettings:
     """When a leaf is good enough (all in chart units, in which the leaf has size one).
@@ -172,7 +151,7 @@ class LeafSettings:
     max_depth : int
         Subdivision ends here whatever the bounds say.
     closed_form : bool
-        Whether patches with a linear inverse become exact leaves.
+        Whether patches on quadrics and in planes become leaves with a closed form.
     sections : bool
         Whether patches do that are bounded by planes on an ellipsoid, of higher degree, and
         sectors of cones. Not where the parameters of every hit are needed, as for
@@ -188,84 +167,210 @@ class LeafSettings:
     sections: bool = True
 
 
-@dataclass
-class Leaves:
-    """Arrays of `L` leaves; see the module's docstring for the meaning."""
+Some = TypeVar("Some", bound="_Records")
 
-    patch: np.ndarray  #: (L,) patch number
-    domain: np.ndarray  #: (L, 3, 3) leaf barycentrics to patch barycentrics, homogeneous
-    exact: np.ndarray  #: (L,) bool
-    shift: np.ndarray  #: (L, 3) origin of the frame, float32 numbers
-    frame: np.ndarray  #: (L, 4, 4) rows x, y, z, W (exact: mostly u, v, w, 0) on (p - shift, 1)
-    form: np.ndarray  #: (L, 19) a b c, bounds, six for (u, v), six for edges (exact: quadric)
-    net: np.ndarray  #: (L, K, 4) monomial (x - u, y - v, z, W - 1) (exact: P, Q or 0)
-    box: np.ndarray  #: (L, 2, 3) axis-aligned bounds, possibly infinite
-    certified: np.ndarray  #: (L,) bool: the leaf is the surface, and its bounds hold
-    group: np.ndarray  #: (L,) exact leaves with the same number share their quadric; else -1
-    #: (L, 3, 3) for exact leaves, frame and form are on ``(axes (p - shift), 1)`` (`affine_frames`)
-    axes: np.ndarray
-    span: np.ndarray  #: (L, 2, 3) bounds of ``axes (p - shift)`` (exact leaves; else zero)
+
+def _each(*shape: int, dtype: type = float) -> dict[str, Any]:
+    """Return what `_Records` asks of a field: shape and type of its entry for a leaf."""
+    return {"shape": shape, "dtype": dtype}
+
+
+#: Rows of the fields that hold monomials where there are no leaves; `join` pads to the highest.
+_FEWEST = bernstein.size(1)
+
+
+@dataclass
+class _Records:
+    """Arrays with one entry a leaf."""
 
     def __len__(self) -> int:
-        return len(self.patch)
+        return len(getattr(self, fields(self)[0].name))
 
-    @property
-    def are_sections(self) -> np.ndarray:
-        """Which exact leaves take Newton's method for their parameters; see `SECTION`."""
-        return self.exact & (self.form[:, SECTION] == 1)
+    @classmethod
+    def zeros(cls: type[Some], count: int = 0, **known: np.ndarray) -> Some:
+        """Return `count` leaves of which some arrays are known; the others are zero."""
+        arrays = {
+            f.name: np.zeros((count, *f.metadata["shape"]), f.metadata["dtype"])
+            for f in fields(cls)
+            if f.name not in known
+        }
+        return cls(**arrays, **known)
 
-    @property
-    def are_inverted(self) -> np.ndarray:
-        """Which exact leaves take Newton's method to tell whether a point is on them."""
-        return self.exact & (self.form[:, SECTION] == INVERTED)
+    def select(self: Some, mask: np.ndarray) -> Some:
+        """Return the leaves chosen by a mask or an index array."""
+        return type(self)(**{f.name: getattr(self, f.name)[mask] for f in fields(self)})
 
-    @property
-    def are_cones(self) -> np.ndarray:
-        """Which exact leaves are sectors of cones."""
-        return self.exact & (self.form[:, SECTION] < 0)
-
-    @staticmethod
-    def join(parts: list[Leaves]) -> Leaves:
+    @classmethod
+    def join(cls: type[Some], parts: list[Some]) -> Some:
         """Concatenate; nets are padded to the highest degree with zero monomials."""
-        top = max(p.net.shape[1] for p in parts)
         out = {}
-        first_group = 0
-        for field in fields(Leaves):
-            arrays = [getattr(p, field.name) for p in parts]
-            if field.name == "group":
-                for i, g in enumerate(arrays):
-                    arrays[i] = np.where(g >= 0, g + first_group, -1)
-                    first_group = max(first_group, int(arrays[i].max(initial=-1)) + 1)
-            if field.name == "net":
+        for f in fields(cls):
+            arrays = [getattr(p, f.name) for p in parts if len(p)]
+            if f.metadata["shape"] == (_FEWEST, 4) and arrays:
+                top = max(a.shape[1] for a in arrays)
                 arrays = [_pad(a, top) for a in arrays]
-            out[field.name] = np.concatenate(arrays)
-        return Leaves(**out)
+            if arrays:
+                out[f.name] = np.concatenate(arrays)
+        return cls.zeros(0, **out)
+
+
+@dataclass
+class GraphLeaves(_Records):
+    """Arrays of `L` leaves that are graphs in a chart."""
+
+    patch: np.ndarray = field(metadata=_each(dtype=int))  #: (L,) patch number
+    domain: np.ndarray = field(
+        metadata=_each(3, 3)
+    )  #: leaf barycentrics to patch barycentrics, homogeneous
+    shift: np.ndarray = field(metadata=_each(3))  #: origin of the chart, float32 numbers
+    chart: np.ndarray = field(
+        metadata=_each(4, 4)
+    )  #: rows x, y, z, W on (p - shift, 1), float32 numbers
+    quadratic: np.ndarray = field(metadata=_each(3))  #: a, b, c
+    remainder: np.ndarray = field(metadata=_each())
+    variation: np.ndarray = field(metadata=_each())
+    bending: np.ndarray = field(metadata=_each())  #: at most `BENDING_LIMIT`
+    size: np.ndarray = field(metadata=_each(dtype=int))  #: index of `SIZES`
+    start: np.ndarray = field(metadata=_each(2, 3))  #: quadratics that take (x, y) near to (u, v)
+    outward: np.ndarray = field(metadata=_each(3))
+    inward: np.ndarray = field(metadata=_each(3))
+    net: np.ndarray = field(metadata=_each(_FEWEST, 4))  #: (K, 4) monomial (x - u, y - v, z, W - 1)
+    box: np.ndarray = field(metadata=_each(2, 3))  #: axis-aligned bounds, possibly infinite
+    certified: np.ndarray = field(
+        metadata=_each(dtype=bool)
+    )  #: the leaf is the surface, and its bounds hold
+
+    @property
+    def kind(self) -> np.ndarray:
+        """The kinds ``(L,)`` of leaves."""
+        affine = (self.chart[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        return np.where(affine, LeafKind.GRAPH_AFFINE, LeafKind.GRAPH_PROJECTIVE)
+
+
+@dataclass
+class ClosedFormLeaves(_Records):
+    """Arrays of `L` leaves on quadrics and in planes."""
+
+    patch: np.ndarray = field(metadata=_each(dtype=int))  #: (L,) patch number
+    domain: np.ndarray = field(
+        metadata=_each(3, 3)
+    )  #: leaf barycentrics to patch barycentrics, homogeneous
+    kind: np.ndarray = field(metadata=_each(dtype=int))  #: `LeafKind`
+    group: np.ndarray = field(
+        metadata=_each(dtype=int)
+    )  #: leaves with the same number share their quadric
+    shift: np.ndarray = field(metadata=_each(3))  #: origin of all that follows, float32 numbers
+    #: rows, quadric and span are on ``(axes (p - shift), 1)`` (`affine_frames`)
+    axes: np.ndarray = field(metadata=_each(3, 3))
+    quadric: np.ndarray = field(metadata=_each(10))  #: a symmetric matrix, see `QUADRIC_ENTRIES`
+    #: largest distance of the patch from the quadric, in patch sizes
+    deviation: np.ndarray = field(metadata=_each())
+    rows: np.ndarray = field(metadata=_each(4, 4))  #: linear forms, see the module's docstring
+    #: of `LINEAR`: a lower bound of the absolute sum of the first three rows over the patch. All
+    #: three vanish at the centre of projection, which is not on the patch unless this is zero
+    least_sum: np.ndarray = field(metadata=_each())
+    corner: np.ndarray = field(
+        metadata=_each(dtype=int)
+    )  #: of `CONE`: where its apex is; else `NO_APEX`
+    #: of inverted leaves: how far their plane barycentrics go below zero (`inverted`)
+    margins: np.ndarray = field(metadata=_each(3))
+    polynomials: np.ndarray = field(
+        metadata=_each(_FEWEST, 4)
+    )  #: (K, 4) monomial P and Q, complex, or zero
+    box: np.ndarray = field(metadata=_each(2, 3))  #: axis-aligned bounds, possibly infinite
+    span: np.ndarray = field(metadata=_each(2, 3))  #: bounds of ``axes (p - shift)``
+
+    def is_one_of(self, kinds: frozenset[LeafKind]) -> np.ndarray:
+        """Return a mask ``(L,)`` of the leaves of these kinds."""
+        return np.isin(self.kind, list(kinds))
+
+    @classmethod
+    def join(cls, parts: list[ClosedFormLeaves]) -> ClosedFormLeaves:
+        """Concatenate; groups of different parts stay apart."""
+        first = 0
+        moved = []
+        for part in parts:
+            moved.append(replace(part, group=part.group + first))
+            first = max(first, int(moved[-1].group.max(initial=-1)) + 1)
+        return super().join(moved)
+
+
+@dataclass
+class Leaves:
+    """The leaves of some patches; where they are counted, graphs come first."""
+
+    graph: GraphLeaves
+    closed_form: ClosedFormLeaves
+
+    def __len__(self) -> int:
+        return len(self.graph) + len(self.closed_form)
+
+    def _both(self, name: str) -> np.ndarray:
+        return np.concatenate([getattr(self.graph, name), getattr(self.closed_form, name)])
+
+    @property
+    def patch(self) -> np.ndarray:
+        """The patches ``(L,)`` of all leaves."""
+        return self._both("patch")
+
+    @property
+    def domain(self) -> np.ndarray:
+        """Maps ``(L, 3, 3)`` of leaf barycentrics to patch barycentrics, homogeneous."""
+        return self._both("domain")
+
+    @property
+    def box(self) -> np.ndarray:
+        """Axis-aligned bounds ``(L, 2, 3)``, possibly infinite."""
+        return self._both("box")
+
+    @property
+    def kind(self) -> np.ndarray:
+        """The kinds ``(L,)`` of leaves."""
+        return self._both("kind")
+
+    @property
+    def kinds(self) -> frozenset[LeafKind]:
+        """The kinds that occur."""
+        return frozenset(LeafKind(k) for k in np.unique(self.kind).tolist())
+
+    def is_one_of(self, kinds: frozenset[LeafKind]) -> np.ndarray:
+        """Return a mask ``(L,)`` of the leaves of these kinds."""
+        return np.isin(self.kind, list(kinds))
+
+    @property
+    def is_closed_form(self) -> np.ndarray:
+        """A mask ``(L,)`` of the leaves with a closed form."""
+        return self.is_one_of(CLOSED_FORMS)
+
+    @property
+    def certified(self) -> np.ndarray:
+        """A mask ``(L,)`` of the leaves that are the surface, and whose bounds hold."""
+        return np.append(self.graph.certified, np.ones(len(self.closed_form), dtype=bool))
 
     def corners(self) -> np.ndarray:
         """Return the patch parameters ``(L, 3, 2)`` of the leaves' corners."""
-        barycentrics = self.domain / self.domain.sum(axis=1, keepdims=True)
+        domain = self.domain
+        barycentrics = domain / domain.sum(axis=1, keepdims=True)
         return barycentrics[:, :2].transpose(0, 2, 1)
 
     def select(self, mask: np.ndarray) -> Leaves:
-        """Return the leaves chosen by a mask or an index array."""
-        return Leaves(**{f.name: getattr(self, f.name)[mask] for f in fields(Leaves)})
+        """Return the leaves chosen by a mask."""
+        count = len(self.graph)
+        return Leaves(self.graph.select(mask[:count]), self.closed_form.select(mask[count:]))
+
+    def of_patches(self, numbers: np.ndarray) -> Leaves:
+        """Return the same leaves, of the patches `numbers` instead of 0, 1, ..."""
+        return Leaves(
+            replace(self.graph, patch=numbers[self.graph.patch]),
+            replace(self.closed_form, patch=numbers[self.closed_form.patch]),
+        )
 
     @staticmethod
-    def empty(count: int) -> Leaves:
-        """Return no leaves, of nets with `count` control points."""
+    def join(parts: list[Leaves]) -> Leaves:
+        """Concatenate the leaves of sets of patches; no group is in two sets."""
         return Leaves(
-            patch=np.zeros(0, dtype=int),
-            domain=np.zeros((0, 3, 3)),
-            exact=np.zeros(0, dtype=bool),
-            shift=np.zeros((0, 3)),
-            frame=np.zeros((0, 4, 4)),
-            form=np.zeros((0, FORM)),
-            net=np.zeros((0, count, 4)),
-            box=np.zeros((0, 2, 3)),
-            certified=np.zeros(0, dtype=bool),
-            group=np.zeros(0, dtype=int),
-            axes=np.zeros((0, 3, 3)),
-            span=np.zeros((0, 2, 3)),
+            GraphLeaves.join([p.graph for p in parts]),
+            ClosedFormLeaves.join([p.closed_form for p in parts]),
         )
 
 

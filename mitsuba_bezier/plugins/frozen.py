@@ -13,8 +13,6 @@ from typing import Any
 
 import drjit as dr
 
-from ..kernels.structure import Structure
-
 __all__ = ["contents", "is_bezier"]
 
 #: Attributes that do not become code.
@@ -50,8 +48,9 @@ def contents(value: Any) -> dict[str, Any]:
             if dr.is_jit_v(value):
                 arrays.append(value)
             return
-        if isinstance(value, Structure):
-            code.append(value.kinds)
+        if isinstance(value, frozenset):
+            code.append(sorted(value))
+            return
         if isinstance(value, (list, tuple)):
             code.append(len(value))
             parts = list(value)

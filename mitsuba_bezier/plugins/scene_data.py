@@ -79,7 +79,7 @@ class SceneData:
         first = 0
         for number, shape in enumerate(shapes):
             leaves = _leaves_of(shape, remember)
-            parts.append(replace(leaves, patch=leaves.patch + first))
+            parts.append(leaves.of_patches(first + np.arange(len(shape.patches))))
             patch_shape += [number] * len(shape.patches)
             patch_first += [first] * len(shape.patches)
             first += len(shape.patches)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,7 +19,7 @@ from mitsuba_bezier.kernels.arrays import upload
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import Hit, intersect
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import LeafSettings, Leaves
+from mitsuba_bezier.leaves.records import LeafKind, LeafSettings, Leaves
 
 GENERAL = LeafSettings(closed_form=False)
 COUNT = 20_011  # no multiple of anything
@@ -76,7 +75,9 @@ def two_kinds() -> Leaves:
     parts = [mb.sphere(cover="tetrahedral"), mb.torus(tube=0.3), at_infinity()]
     leaves = [build_leaves(parts[0]), build_leaves(parts[1]), build_leaves(parts[2], GENERAL)]
     first = np.cumsum([0, *(len(p) for p in parts)])
-    return Leaves.join([replace(x, patch=x.patch + k) for x, k in zip(leaves, first.tolist())])
+    return Leaves.join(
+        [x.of_patches(k + np.arange(len(p))) for x, p, k in zip(leaves, parts, first.tolist())]
+    )
 
 
 def balls(count: int) -> Leaves:
@@ -101,7 +102,7 @@ SURFACES = {
 @pytest.mark.parametrize("name", SURFACES)
 def test_the_same_hits(small, name, any_hit):
     structure = build_structure(SURFACES[name](), Float)
-    assert structure.has_projective == (name in ("infinity", "two kinds"))
+    assert structure.has(LeafKind.GRAPH_PROJECTIVE) == (name in ("infinity", "two kinds"))
     rays = columns(*random_rays(COUNT))
     expected = intersect(structure, *rays, Float(np.inf), any_hit=any_hit)
     found = batch.intersect_batch(structure, *rays, Float(np.inf), any_hit=any_hit)
@@ -294,7 +295,7 @@ def test_in_a_scene_with_other_shapes(batches):
 def test_scenes_without_end(batches):
     cone = mi.load_dict(bezier(mb.hyperboloid_one_sheet().elevate()))
     structure = cone._alone().structure
-    if not (structure.has_affine or structure.has_projective):
+    if not structure.has_graphs:
         structure = build_structure(build_leaves(mb.hyperboloid_one_sheet(), GENERAL), Float)
     o, d = columns(*random_rays(batch._FEW))
     assert 0.0 <= batch._distance(structure, batch.types_of(Float), o, d) <= 1.0

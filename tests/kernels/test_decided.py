@@ -12,7 +12,7 @@ from drjit.llvm import Float, UInt
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.kernels import traverse
-from mitsuba_bezier.kernels.arrays import gather_packets, types_of
+from mitsuba_bezier.kernels.arrays import types_of
 from mitsuba_bezier.kernels.graph import chart
 from mitsuba_bezier.kernels.structure import (
     AFFINE,
@@ -20,11 +20,19 @@ from mitsuba_bezier.kernels.structure import (
     OUTWARD_BITS,
     REACH_DIGITS,
     REMAINDER_DIGITS,
+    Structure,
     build_structure,
 )
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import INWARD, LEAST_REACH, OUTWARD, LeafSettings, Leaves
+from mitsuba_bezier.leaves.records import (
+    LEAST_REACH,
+    ClosedFormLeaves,
+    GraphLeaves,
+    LeafKind,
+    LeafSettings,
+    Leaves,
+)
 from mitsuba_bezier.oracles.reference import first_hit
 
 GENERAL = LeafSettings(closed_form=False)
@@ -53,20 +61,24 @@ def columns(*arrays: np.ndarray) -> list[Any]:
     return [[Float(np.ascontiguousarray(a[:, k])) for k in range(3)] for a in arrays]
 
 
-def straight(patches: mb.BezierTriangles) -> Leaves:
+def straight(patches: mb.BezierTriangles) -> GraphLeaves:
     """Return the leaves with affine charts."""
-    leaves = build_leaves(patches, GENERAL)
-    return leaves.select((leaves.frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1))
+    graphs = build_leaves(patches, GENERAL).graph
+    return graphs.select(graphs.kind == LeafKind.GRAPH_AFFINE)
+
+
+def built(graphs: GraphLeaves) -> Structure:
+    return build_structure(Leaves(graphs, ClosedFormLeaves.zeros()), Float)
 
 
 def rays_at_leaves(
-    leaves: Leaves, count: int, seed: int, reach: float, steep: float = 0.0
+    leaves: GraphLeaves, count: int, seed: int, reach: float, steep: float = 0.0
 ) -> tuple[np.ndarray, ...]:
     """Return leaves, rays at points of their charts' planes, also beside them, and distances."""
     rng = np.random.default_rng(seed)
     leaf = rng.integers(0, len(leaves), count)
     inner = rng.dirichlet(np.ones(3), count) * (1 + 3 * reach) - reach
-    frame = leaves.frame[leaf, :3, :3]
+    frame = leaves.chart[leaf, :3, :3]
     p = np.linalg.solve(frame, np.pad(inner[:, :2], ((0, 0), (0, 1)))[..., None])[..., 0]
     e = rng.normal(size=p.shape)
     e[:, 2] += np.copysign(steep, e[:, 2]) * np.linalg.norm(e[:, :2], axis=1)
@@ -79,20 +91,20 @@ def rays_at_leaves(
 
 def test_bounds_as_kernels_have_them():
     leaves = straight(mb.torus())
-    structure = build_structure(leaves, Float)
-    record = gather_packets(structure.affine, dr.arange(UInt, len(leaves)), AFFINE, True)
-    word, *others = (dr.reinterpret_array(UInt, record[k]) for k in (15, 12, 13, 14))
+    structure = built(leaves)
+    record = AFFINE.gather(structure.affine, dr.arange(UInt, len(leaves)))
+    word, others = record.remainder_outward, record.quadratic_inward
     for e in range(3):
         outward = chart._number(TYPES, word, OUTWARD_BITS[e], REACH_DIGITS, LEAST_REACH)
         inward = chart._number(TYPES, others[e], 0, REACH_DIGITS, LEAST_REACH)
-        assert np.array_equal(np.array(outward), leaves.form[:, OUTWARD][:, e])
-        assert np.array_equal(np.array(inward), leaves.form[:, INWARD][:, e])
+        assert np.array_equal(np.array(outward), leaves.outward[:, e])
+        assert np.array_equal(np.array(inward), leaves.inward[:, e])
     quadratic = np.array([np.array(x) for x in chart.affine_quadratic(TYPES, record)])
-    assert np.array_equal(quadratic.T, leaves.form[:, :3])
+    assert np.array_equal(quadratic.T, leaves.quadratic)
     remainder = np.array(chart._number(TYPES, word, 0, REMAINDER_DIGITS, LEAST_REMAINDER))
     # seven binary digits, rounded up
-    assert (remainder >= leaves.form[:, 3]).all()
-    assert (remainder <= leaves.form[:, 3] * (1 + 2.0**-6)).all()
+    assert (remainder >= leaves.remainder).all()
+    assert (remainder <= leaves.remainder * (1 + 2.0**-6)).all()
 
 
 @pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES.keys())
@@ -102,7 +114,7 @@ def test_what_is_certain_is_so(surface):
     # ends before, at and behind the plane of the leaf; and origins behind it
     end = far * np.random.default_rng(4).choice([0.9, 1.0, 1.1, np.inf], len(far))
     o[::7] += (1.02 * far[:, None] * d)[::7].astype(np.float32)
-    structure = build_structure(leaves, Float)
+    structure = built(leaves)
     candidate, line = chart.cull(
         structure, TYPES, UInt(leaf), *columns(o, d), Float(end), TYPES.Bool(True), decide=True
     )
@@ -118,7 +130,7 @@ def test_what_is_certain_is_so(surface):
 def test_most_hits_are_certain():
     leaves = straight(mb.torus())
     leaf, o, d, _far = rays_at_leaves(leaves, 20_000, 5, 0.0, steep=1.0)
-    structure = build_structure(leaves, Float)
+    structure = built(leaves)
     _candidate, line = chart.cull(
         structure, TYPES, UInt(leaf), *columns(o, d), Float(np.inf), TYPES.Bool(True), decide=True
     )
@@ -162,7 +174,7 @@ def test_any_hit_is_where_there_is_a_closest_one(surface):
     leaves = build_leaves(surface, GENERAL)
     _leaf, o, d, far = rays_at_leaves(leaves, 100_000, 6, 0.3)
     end = Float(far * np.random.default_rng(7).choice([0.7, 1.3, np.inf], len(far)))
-    structure = build_structure(leaves, Float)
+    structure = built(leaves)
     closest = intersect(structure, *columns(o, d), end)
     found = intersect(structure, *columns(o, d), end, any_hit=True)
     # an edge's tolerance or a grazing root may decide one in ten thousand

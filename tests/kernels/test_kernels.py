@@ -16,7 +16,7 @@ from mitsuba_bezier.kernels import arrays, curvature, net, patch
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import LeafSettings
+from mitsuba_bezier.leaves.records import LeafKind, LeafSettings
 
 FLOATS = {
     "float32": llvm.Float,
@@ -218,7 +218,7 @@ def test_rays_through_points_of_a_net(n, kind):
     # float32: two roundings of a coordinate; float64: the nets of leaves are stored in float32,
     # as differences from the unit triangle, a tenth of the size of a leaf
     assert off < (2e-7 if kind == "float32" else 2e-8)
-    assert structure.has_groups == (n == 1) and structure.has_affine == (n > 1)
+    assert structure.kinds == {LeafKind.LINEAR if n == 1 else LeafKind.GRAPH_AFFINE}
 
 
 @pytest.mark.parametrize("n", [2, 3, 6])
@@ -303,11 +303,11 @@ def test_octants_through_their_quadric(kind):
     # a bent patch of degree 5 beside: then the nets of octants are padded
     both = mb.BezierTriangles.join([patches.elevate(1), random_nets(5, 1, seed=5)])
     off, structure = check_hits(patches, FLOATS[kind], 1)
-    assert structure.has_sections and structure.graph_count == 0
+    assert structure.has(LeafKind.PLANE_SECTIONS) and structure.graph_count == 0
     # the parameters come from nets in float32, by an iteration
     assert off < (3e-7 if kind == "float32" else 1e-7)
     off, structure = check_hits(both, FLOATS[kind], 2)
-    assert structure.has_sections and structure.has_affine
+    assert structure.kinds == {LeafKind.PLANE_SECTIONS, LeafKind.GRAPH_AFFINE}
     assert off < (3e-7 if kind == "float32" else 1e-7)
 
 
@@ -323,7 +323,7 @@ def test_both_kinds_of_leaves_in_one_structure():
     wavy = random_nets(2, 4, seed=5).transform(np.diag([2.0, 2, 2, 1]))
     both = mb.BezierTriangles(np.concatenate([ball.control_points, wavy.control_points]))
     off, structure = check_hits(both, llvm.Float, 2)
-    assert structure.has_groups and structure.has_affine
+    assert structure.kinds == {LeafKind.LINEAR, LeafKind.GRAPH_AFFINE}
     assert off < 3e-7
 
 

@@ -72,7 +72,7 @@ def test_nothing_leaks_out_of_thin_bodies(name, rounded):
         assert keep.mean() > 0.5
         o, d, o_there, d_there = o[keep], d[keep], o_there[keep], d_there[keep]
         leaves = build_leaves(thin)
-        assert leaves.exact.all()
+        assert leaves.is_closed_form.all()
         hit = traced(leaves, o, d)
         assert np.array(hit.valid).all(), f"{label}: {(~np.array(hit.valid)).sum()} escape"
         assert np.array(traced(leaves, o, d, any_hit=True).valid).all(), label
@@ -106,9 +106,8 @@ def test_bodies_in_one_set_have_axes_of_their_own():
     patches = mb.BezierTriangles.join([b if b.degree == 4 else b.elevate(2) for b in bodies])
     leaves = build_leaves(patches)
     ends = np.cumsum([0, *(len(b) for b in bodies)])
-    even = [
-        (leaves.axes[np.isin(leaves.patch, range(*e))] == np.eye(3)).all() for e in pairwise(ends)
-    ]
+    axes, patch = leaves.closed_form.axes, leaves.closed_form.patch
+    even = [(axes[np.isin(patch, range(*e))] == np.eye(3)).all() for e in pairwise(ends)]
     assert even == [True, False, False, True]
     rng = np.random.default_rng(1)
     for centre in ((0, 0, 0), (5, 0, 0), (0, 5, 0)):

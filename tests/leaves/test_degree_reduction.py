@@ -12,7 +12,7 @@ from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.closed_form.degree_reduction import reduce_degree
-from mitsuba_bezier.leaves.records import DEVIATION
+from mitsuba_bezier.leaves.records import LeafKind
 
 SPHERE = mb.sphere(cover="tetrahedral")
 FLAT = mb.BezierTriangles([[[0, 0, 0, 1], [1, 0, 0, 2], [0.5, 1, 0.25, 1]]])
@@ -43,25 +43,26 @@ def test_others_are_left_alone():
 @pytest.mark.parametrize("times", [1, 3])
 def test_elevated_quadrics_and_triangles_have_closed_forms(times):
     leaves = build_leaves(SPHERE.elevate(times))
-    assert len(leaves) == 10 and leaves.exact.all() and (leaves.group == 0).all()
+    assert len(leaves) == 10 and leaves.is_closed_form.all()
+    assert (leaves.closed_form.group == 0).all()
     leaves = build_leaves(FLAT.elevate(times))
-    assert len(leaves) == 1 and leaves.exact.all()
+    assert len(leaves) == 1 and leaves.is_closed_form.all()
 
 
 def test_what_rounding_took_counts_as_a_deviation():
     net = SPHERE.elevate(2).control_points.astype(np.float32).astype(float)
     patches = mb.BezierTriangles(net)
     _found, _lower, residual = reduce_degree(patches, 2)
-    leaves = build_leaves(patches)
+    leaves = build_leaves(patches).closed_form
     assert residual.min() > 1e-9
-    assert (leaves.form[:, DEVIATION] >= residual[leaves.patch]).all()
+    assert (leaves.deviation >= residual[leaves.patch]).all()
 
 
 def test_rays_on_a_set_of_mixed_degrees():
     mixed = [SPHERE.elevate(2).control_points, mb.torus(center=(5, 0, 0)).control_points]
     patches = mb.BezierTriangles(np.concatenate(mixed))
     structure = build_structure(build_leaves(patches), plain.Float)
-    assert structure.has_groups and structure.has_affine
+    assert structure.kinds == {LeafKind.LINEAR, LeafKind.GRAPH_AFFINE}
     rng = np.random.default_rng(1)
     o = rng.normal(size=(20_000, 3))
     o *= 3 / np.linalg.norm(o, axis=1, keepdims=True)

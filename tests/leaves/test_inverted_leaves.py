@@ -34,7 +34,7 @@ from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.leaves.builder import build_leaves, rebuild_leaves
 from mitsuba_bezier.leaves.closed_form import inverted as inverted_leaves
 from mitsuba_bezier.leaves.closed_form import newton as plane_inverse
-from mitsuba_bezier.leaves.records import DEVIATION, LeafSettings
+from mitsuba_bezier.leaves.records import INVERTED_KINDS, LeafKind, LeafSettings
 from mitsuba_bezier.oracles.reference import first_hit
 
 
@@ -82,7 +82,7 @@ SURFACES = {
 @pytest.mark.parametrize("patches", SURFACES.values(), ids=SURFACES.keys())
 def test_hits(patches):
     leaves = build_leaves(patches)
-    assert leaves.are_inverted.all() and len(leaves) == len(patches)
+    assert leaves.kinds <= INVERTED_KINDS and len(leaves) == len(patches)
     # a point in the tolerance of an edge may belong to the neighbour; 3 of 1000 rays aim there
     assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
 
@@ -117,7 +117,7 @@ def test_next_to_a_pole(name, rounded):
     o = o.astype(np.float32)
     d = (target - o).astype(np.float32)
     leaves = build_leaves(patches)
-    assert leaves.are_inverted.all()
+    assert leaves.kinds <= INVERTED_KINDS
     hit = traced(leaves, o, d)
     assert np.array(hit.valid).all()
     t = np.array(hit.t, dtype=float)
@@ -139,7 +139,7 @@ def test_one_patch_alone_has_all_of_its_corners(order):
     for k in range(4):
         patch = patches[np.array([k])]
         leaves = build_leaves(patch)
-        assert leaves.are_inverted.all()
+        assert leaves.kinds <= INVERTED_KINDS
         near, share, zero = (
             10 ** rng.uniform(-6, -1, 900),
             rng.random(900),
@@ -171,7 +171,7 @@ def test_nothing_leaks(name, rounded):
         o, target = (x @ MOVE[:3, :3].T + MOVE[:3, 3] for x in (o, target))
     o, d = o.astype(np.float32), (target - o).astype(np.float32)
     leaves = build_leaves(patches)
-    assert leaves.are_inverted.all()
+    assert leaves.kinds <= INVERTED_KINDS
     assert np.array(traced(leaves, o, d).valid).all()
     assert np.array(traced(leaves, o, d, any_hit=True).valid).all()
 
@@ -179,7 +179,7 @@ def test_nothing_leaks(name, rounded):
 def test_cells_tell_all_members_that_have_a_point():
     patches = mb.BezierTriangles.join([single(SPHERE), CONE.transform(IMAGE)])
     leaves = build_leaves(patches)
-    assert leaves.are_inverted.all()
+    assert leaves.kinds <= INVERTED_KINDS
     structure = build_structure(leaves, Float)
     tables = np.array(structure.cells).reshape(-1, quadric_records.CELLS)
     groups = np.array(structure.groups).reshape(-1, quadric_records.GROUP)
@@ -212,13 +212,13 @@ def test_what_reaches_too_far_is_cut(monkeypatch):
     monkeypatch.setattr(inverted_leaves, "_LEAST", 0.8)
     patches = revolution([(1, -1, 1), (1, 1, 1)], segments=3)
     leaves = build_leaves(patches)
-    assert leaves.are_inverted.all() and len(leaves) > len(patches)
+    assert leaves.kinds <= INVERTED_KINDS and len(leaves) > len(patches)
     area = np.abs(np.linalg.det(leaves.domain / leaves.domain.sum(axis=1, keepdims=True)))
     np.testing.assert_allclose(np.bincount(leaves.patch, area), 1.0, atol=1e-12)
     assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
     # and if Newton's method does not find it, it is left to others
     monkeypatch.setattr(plane_inverse, "_STEPS", 1)
-    assert not build_leaves(patches).exact.any()
+    assert not build_leaves(patches).is_closed_form.any()
 
 
 def test_what_lies_on_no_quadric_is_left_to_others():
@@ -227,19 +227,19 @@ def test_what_lies_on_no_quadric_is_left_to_others():
         # two points: with one, the disk's patch is on a quadric that is flat, to 2e-8 of its height
         net[0, [1, 4], :3] += 1e-5 * np.array([[1, 2, 3], [3, -2, -1]])
         leaves = build_leaves(mb.BezierTriangles(net))
-        assert not leaves.exact[leaves.patch == 0].any()
-        assert leaves.exact[leaves.patch == 1].all()
+        assert not leaves.is_closed_form[leaves.patch == 0].any()
+        assert leaves.is_closed_form[leaves.patch == 1].all()
     # a quadric, and weights of both signs
     net = CYLINDER.control_points.copy()
     net[0] *= np.where(bernstein.multi_indices(3)[:, :1] % 2, -1, 1)
     leaves = build_leaves(mb.BezierTriangles(net))
-    assert not leaves.are_inverted[leaves.patch == 0].any()
+    assert not leaves.is_one_of(INVERTED_KINDS)[leaves.patch == 0].any()
     # folded: planar, but no map that can be inverted
     points = [[0, 0, 0], [1, 0, 0], [0.5, 0, 0], [0, 1, 0], [2, 2, 0], [0, 0.1, 0]]
     folded = mb.BezierTriangles([[[*p, 1] for p in points]])
-    assert not build_leaves(folded).exact.any()
-    assert not build_leaves(mb.torus()).exact.any()
-    assert not build_leaves(SPHERE, LeafSettings(closed_form=False)).exact.any()
+    assert not build_leaves(folded).is_closed_form.any()
+    assert not build_leaves(mb.torus()).is_closed_form.any()
+    assert not build_leaves(SPHERE, LeafSettings(closed_form=False)).is_closed_form.any()
 
 
 def test_among_others():
@@ -254,14 +254,14 @@ def test_among_others():
     ]
     # a point in the tolerance of an edge may belong to the neighbour
     structure = assert_found_among_others(parts, others=3e-3)
-    assert structure.has_inverted and structure.has_sections and not structure.only_inverted
+    assert structure.has(*INVERTED_KINDS) and structure.has(LeafKind.PLANE_SECTIONS)
 
 
 def test_one_group_of_two_kinds():
     tetrahedral = mb.sphere(cover="tetrahedral").elevate(2)
     patches = mb.BezierTriangles.join([tetrahedral[:4], SPHERE[8:16]])
     leaves = build_leaves(patches)
-    assert leaves.exact.all() and leaves.are_inverted.sum() == 8
+    assert leaves.is_closed_form.all() and leaves.is_one_of(INVERTED_KINDS).sum() == 8
     o, d = rays(patches, 4000)
     expected = first_hit(patches, o, d)
     judged = expected.margin.decidable(6e-7) & ~(expected.margin.cosine < 0.01)
@@ -278,13 +278,13 @@ def test_sets_of_mixed_degrees_are_inverted_at_their_own():
     patches = mb.BezierTriangles(patches.control_points.astype(np.float32)).elevate(1)
     assert patches.degree == 9
     leaves = build_leaves(patches)
-    assert leaves.are_inverted.all()
+    assert leaves.kinds <= INVERTED_KINDS
     powers = bernstein.multi_indices(9)[:, :2].sum(axis=1)
-    used = [powers[net.any(axis=1)].max() for net in leaves.net]
+    used = [powers[net.any(axis=1)].max() for net in leaves.closed_form.polynomials]
     assert used == np.where(leaves.patch < 8, 3, 4).tolist()
     assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
     # sixteen would be too much for a kernel
-    assert not build_leaves(otherwise(otherwise(SPHERE))).exact.any()
+    assert not build_leaves(otherwise(otherwise(SPHERE))).is_closed_form.any()
 
 
 def test_the_rest_is_kept_when_some_change():
@@ -293,12 +293,15 @@ def test_the_rest_is_kept_when_some_change():
     net[3, 4, :3] += 0.01
     changed = mb.BezierTriangles(net)
     again = rebuild_leaves(changed, LeafSettings(), SPHERE, leaves)
-    assert again.are_inverted.sum() == 15 and not again.exact[again.patch == 3].any()
+    assert (
+        again.is_one_of(INVERTED_KINDS).sum() == 15
+        and not again.is_closed_form[again.patch == 3].any()
+    )
 
 
 def test_deviation_is_that_of_the_net():
-    assert build_leaves(SPHERE).form[:, DEVIATION].max() < 1e-11
-    deviation = build_leaves(single(SPHERE)).form[:, DEVIATION]
+    assert build_leaves(SPHERE).closed_form.deviation.max() < 1e-11
+    deviation = build_leaves(single(SPHERE)).closed_form.deviation
     # one rounding of float32 is 6e-8, in units of a patch, of which the largest is 2 long
     assert 1e-9 < deviation.max() < 3e-7
 
@@ -319,5 +322,5 @@ def test_no_hit_is_lost_in_thin_directions():
         size = np.linalg.norm(np.ptp(patches.bounds().reshape(-1, 3), axis=0))
         o = (target + size * rng.normal(size=target.shape)).astype(np.float32)
         leaves = build_leaves(patches)
-        assert leaves.are_inverted.all()
+        assert leaves.kinds <= INVERTED_KINDS
         assert np.array(traced(leaves, o, (target - o).astype(np.float32)).valid).all()

@@ -8,6 +8,7 @@ import pytest
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein, shapes
 from mitsuba_bezier.geometry.covers import quadric_cover, ruled_cover
+from mitsuba_bezier.kernels.structure import pack_bending
 from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.graph import bounds as leaf_bounds
 from mitsuba_bezier.leaves.graph import cover as leaf_cover
@@ -15,14 +16,11 @@ from mitsuba_bezier.leaves.graph.bounds import LeafBounds
 from mitsuba_bezier.leaves.graph.subdivision import _CULLING
 from mitsuba_bezier.leaves.records import (
     BENDING_LIMIT,
-    INWARD,
     LEAST_REACH,
-    OUTWARD,
     SIZES,
+    LeafKind,
     LeafSettings,
-    pack_bending,
     round_reach,
-    unpack_bending,
 )
 
 GENERAL = LeafSettings(closed_form=False)
@@ -51,12 +49,18 @@ SURFACES = {
 }
 
 
+def unpacked(packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return bending and size of what `pack_bending` gave."""
+    size = np.floor(packed / BENDING_LIMIT)
+    return packed - BENDING_LIMIT * size, size.astype(int)
+
+
 class Charts:
     """Leaves of a surface in their charts, with what is stored about them."""
 
     def __init__(self, patches: mb.BezierTriangles, settings: LeafSettings = GENERAL) -> None:
-        leaves = build_leaves(patches, settings)
-        leaves = leaves.select(leaves.certified & ~leaves.exact)
+        leaves = build_leaves(patches, settings).graph
+        leaves = leaves.select(leaves.certified)
         leaves = leaves.select(slice(None, None, 1 + len(leaves) // 60))
         self.n = bernstein.degree_of(leaves.net.shape[1])
         i, j = bernstein.multi_indices(self.n)[:, :2].T
@@ -64,12 +68,14 @@ class Charts:
         self.net[..., 0] += i / self.n
         self.net[..., 1] += j / self.n
         self.net[..., 3] += 1.0
-        self.q = leaves.form[:, :3]
-        self.remainder, self.variation, packed, self.margin = leaves.form[:, 3:7].T
-        self.outward, self.inward = leaves.form[:, OUTWARD], leaves.form[:, INWARD]
-        projective = (leaves.frame[:, 3] != (0, 0, 0, 1)).any(axis=1)
+        self.q = leaves.quadratic
+        self.remainder, self.variation = leaves.remainder, leaves.variation
+        self.outward, self.inward = leaves.outward.copy(), leaves.inward
+        self.margin = self.outward.max(axis=1)
+        projective = leaves.kind == LeafKind.GRAPH_PROJECTIVE
         self.outward[projective] = self.margin[projective, None]  # what the kernel has of those
-        self.bending, self.size = unpack_bending(packed)
+        # as the kernel has them
+        self.bending, self.size = unpacked(pack_bending(leaves.bending, leaves.size))
 
     def triangle(self, leaf: int, count: int) -> np.ndarray:
         """Return a lattice of parameters on the triangle of a leaf's bounds."""
@@ -272,11 +278,11 @@ def test_bending_and_size_share_a_number():
     for size in range(len(SIZES)):
         packed = pack_bending(bending, np.full(5, size))
         assert np.array_equal(packed, packed.astype(np.float32))
-        again, found = unpack_bending(packed)
+        again, found = unpacked(packed)
         assert (found == size).all()
         # rounded up, by at most the last of fourteen bits
         assert (again >= bending).all() and (again - bending).max() <= 2.0**-14
-    assert unpack_bending(pack_bending(np.array([99.0]), np.array([3])))[1] == 3
+    assert unpacked(pack_bending(np.array([99.0]), np.array([3])))[1] == 3
     assert BENDING_LIMIT * len(SIZES) <= 256
 
 
@@ -295,12 +301,12 @@ def test_what_culling_in_float32_may_be_off(surface):
     # the kernel's way to a chart coordinate, rounded at each step, against float64
     flat = mb.BezierTriangles([[[3.1, 0.2, 0.7, 1], [-0.4, 2.3, -1.1, 1], [0.6, -1.7, 1.9, 1]]])
     patches = {"torus": mb.torus(), "cone": shapes.cone(), "flat": flat}[surface]
-    leaves = build_leaves(patches, GENERAL)
+    leaves = build_leaves(patches, GENERAL).graph
     rng = np.random.default_rng(12)
     leaf = rng.integers(0, len(leaves), 50000)
     nets = leaves.box[leaf] - leaves.shift[leaf, None]
     extent = np.abs(nets).max(axis=1)
-    frame = leaves.frame[leaf, :3, :3]
+    frame = leaves.chart[leaf, :3, :3]
     near, way = extent * rng.uniform(-1, 1, (2, *extent.shape))
     single = np.float32
     x = np.zeros_like(near, dtype=np.float32)
@@ -317,4 +323,5 @@ def test_what_culling_in_float32_may_be_off(surface):
     # worst cases are rare: the bound is five to fifteen times what is seen
     assert 0.03 < (off / bound).max() <= 1
     # and it is in what is stored
-    assert (leaves.form[leaf, 6] >= bound).all() and (leaves.form[leaf, 3] >= bound).all()
+    assert (leaves.outward[leaf].max(axis=1) >= bound).all()
+    assert (leaves.remainder[leaf] >= bound).all()

@@ -13,14 +13,14 @@ GENERAL = LeafSettings(closed_form=False)
 
 
 def _value(leaves: Leaves, u: float, v: float) -> np.ndarray:
-    powers = bernstein.multi_indices(bernstein.degree_of(leaves.net.shape[1]))[:, :2]
-    return np.einsum("k,lkc->lc", u ** powers[:, 0] * v ** powers[:, 1], leaves.net)
+    powers = bernstein.multi_indices(bernstein.degree_of(leaves.graph.net.shape[1]))[:, :2]
+    return np.einsum("k,lkc->lc", u ** powers[:, 0] * v ** powers[:, 1], leaves.graph.net)
 
 
 def test_joined_leaves_keep_their_nets_when_degrees_differ() -> None:
     quadratic = build_leaves(shapes.disk(), GENERAL)
     quartic = build_leaves(shapes.torus())
-    assert not quadratic.exact.any()
+    assert not quadratic.is_closed_form.any()
     joined = Leaves.join([quadratic, quartic])
     for u, v in ((0.2, 0.3), (0.7, 0.1), (0.0, 0.6)):
         expected = np.concatenate([_value(quadratic, u, v), _value(quartic, u, v)])

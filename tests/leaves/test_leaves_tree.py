@@ -11,12 +11,11 @@ from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.bvh import NO_LEAF, Tree, build_tree
 from mitsuba_bezier.leaves.closed_form.plane_sections import edge_planes
 from mitsuba_bezier.leaves.records import (
-    FORM_ENTRIES,
-    LEAST,
-    OUTWARD,
+    INVERTED_KINDS,
+    QUADRIC_ENTRIES,
+    GraphLeaves,
     LeafSettings,
     Leaves,
-    unpack_bending,
 )
 
 # ---------------------------------------------------------------- nets
@@ -111,12 +110,12 @@ def test_domains_tile_the_triangle(whole):
 
 def test_numbers_the_kernel_stores_are_float32(cut):
     _patches, leaves = cut
-    for values in (leaves.shift, leaves.frame):
+    for values in (leaves.graph.shift, leaves.graph.chart):
         assert np.array_equal(values, values.astype(np.float32))
-    assert not leaves.exact.any() and (leaves.group == -1).all()
+    assert not leaves.is_closed_form.any()
 
 
-def chart_points(leaves: Leaves, uv: np.ndarray) -> np.ndarray:
+def chart_points(leaves: GraphLeaves, uv: np.ndarray) -> np.ndarray:
     """Evaluate the nets in the charts at ``(L, S, 2)`` or ``(S, 2)``: ``(L, S, 4)``, x y z W."""
     n = bernstein.degree_of(leaves.net.shape[1])
     i, j = bernstein.multi_indices(n)[:, :2].T
@@ -128,7 +127,7 @@ def chart_points(leaves: Leaves, uv: np.ndarray) -> np.ndarray:
 
 
 def test_nets_are_the_patch_in_the_chart(cut):
-    patches, leaves = cut
+    patches, leaves = cut[0], cut[1].graph
     uv = lattice(5)
     chart = chart_points(leaves, uv)
     bary = np.concatenate([uv, 1 - uv.sum(axis=1, keepdims=True)], axis=1)
@@ -137,7 +136,7 @@ def test_nets_are_the_patch_in_the_chart(cut):
     h = patches.evaluate(np.repeat(leaves.patch, len(uv)), on_patch.reshape(-1, 2))
     h = h.reshape(len(leaves), len(uv), 4)
     moved = np.concatenate([h[..., :3] - h[..., 3:] * leaves.shift[:, None], h[..., 3:]], axis=-1)
-    truth = np.einsum("lrc,lsc->lsr", leaves.frame, moved)
+    truth = np.einsum("lrc,lsc->lsr", leaves.chart, moved)
     # equal up to a factor, the same at all points: that of the weights
     finite = np.abs(truth[..., 3]) > 1e-12
     a, b = chart[finite], truth[finite]
@@ -146,7 +145,7 @@ def test_nets_are_the_patch_in_the_chart(cut):
     assert error.max() < 1e-6
 
 
-def height(leaves: Leaves, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def height(leaves: GraphLeaves, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return ``h(x, y)`` and ``(u, v)`` at ``(L, S, 2)`` chart points, by Newton's iteration."""
     uv = xy.copy()
     step = 1e-6
@@ -167,16 +166,19 @@ def height(leaves: Leaves, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_bounds_hold_on_dense_samples(regular):
-    leaves = regular
-    a, b, c, remainder, variation, packed, margin = leaves.form[:, :7].T[:, :, None]
-    bending, _size = unpack_bending(packed)
+    leaves = regular.graph
+    a, b, c = leaves.quadratic.T[:, :, None]
+    remainder, variation, bending = (
+        x[:, None] for x in (leaves.remainder, leaves.variation, leaves.bending)
+    )
+    margin = leaves.outward.max(axis=1)[:, None]
     # the surface stays within the margin of the unit triangle
     p = chart_points(leaves, lattice(20))
     x, y = p[..., 0] / p[..., 3], p[..., 1] / p[..., 3]
     assert (np.minimum(np.minimum(x, y), 1 - x - y) >= -margin - 1e-12).all()
 
     # all that a clipped ray may see: the unit triangle enlarged
-    outward = leaves.form[:, None, OUTWARD]
+    outward = leaves.outward[:, None]
     xy = lattice(11) * (1 + outward.sum(axis=2, keepdims=True)) - outward[..., :2]
     h, _uv = height(leaves, xy)
     x, y = xy[..., 0], xy[..., 1]
@@ -213,12 +215,12 @@ def test_bounds_hold_on_dense_samples(regular):
 
 def test_seeds_for_the_march(regular):
     # two quadratics take (x, y) near to (u, v): the better, the fewer steps
-    leaves = regular
+    leaves = regular.graph
     uv = lattice(8)
     p = chart_points(leaves, uv)
     x, y = p[..., 0] / p[..., 3], p[..., 1] / p[..., 3]
     w = 1 - x - y
-    q = leaves.form[:, 7:13, None]
+    q = leaves.start.reshape(-1, 6, 1)
     u = x + q[:, 0] * x * y + q[:, 1] * x * w + q[:, 2] * y * w
     v = y + q[:, 3] * x * y + q[:, 4] * x * w + q[:, 5] * y * w
     # without them |x - u| is up to 1/4 (the setting `lateral`)
@@ -251,7 +253,7 @@ def test_stricter_settings_give_more_leaves():
     few = build_leaves(NETS["degree 3"])
     many = build_leaves(NETS["degree 3"], LeafSettings(remainder=0.002))
     assert len(many) > 1.5 * len(few)
-    assert many.form[many.certified, 3].max() < 0.0021
+    assert many.graph.remainder[many.graph.certified].max() < 0.0021
 
 
 DEGENERATE = {
@@ -265,7 +267,7 @@ def test_degenerate_nets_end_soon(name):
     leaves = build_leaves(mb.BezierTriangles(DEGENERATE[name]))
     # hardly a surface; no error, no endless cutting, numbers the kernel can take
     assert len(leaves) < 10_000
-    for values in (leaves.shift, leaves.frame, leaves.form, leaves.net):
+    for values in [*vars(leaves.graph).values(), *vars(leaves.closed_form).values()]:
         assert np.isfinite(values).all()
 
 
@@ -299,19 +301,20 @@ RULED_FORMS = {
 
 def check_exact(patches: mb.BezierTriangles, leaves: Leaves, slack: float) -> None:
     """Check that the frame inverts the patch and that the form vanishes on it."""
-    assert len(leaves) == len(patches) and leaves.exact.all()
+    assert len(leaves) == len(patches) and leaves.is_closed_form.all()
+    leaves = leaves.closed_form
     assert sorted(leaves.patch) == list(range(len(patches)))
     uv = lattice(8)[[9, 17, 20, 25, 30, 33]]  # inside and on edges
     for l in range(len(leaves)):
         h = patches.evaluate(int(leaves.patch[l]), uv)
         x = (h[:, :3] / h[:, 3:] - leaves.shift[l]) @ leaves.axes[l].T
         x = np.concatenate([x, np.ones((len(uv), 1))], axis=1)
-        bary = x @ leaves.frame[l, :3].T
+        bary = x @ leaves.rows[l, :3].T
         total = bary.sum(axis=1)
-        assert (np.abs(total) >= leaves.form[l, LEAST]).all()
+        assert (np.abs(total) >= leaves.least_sum[l]).all()
         assert np.abs(bary[:, :2] / total[:, None] - uv).max() < slack
         form = np.zeros((4, 4))
-        for value, (i, j) in zip(leaves.form[l], FORM_ENTRIES):
+        for value, (i, j) in zip(leaves.quadric[l], QUADRIC_ENTRIES):
             form[i, j] = form[j, i] = value
         value = np.einsum("ni,ij,nj->n", x, form, x)
         gradient = 2 * np.linalg.norm(x @ form[:, :3], axis=1)
@@ -354,16 +357,16 @@ def test_planar_triangles_have_a_closed_form():
     check_exact(patches, build_leaves(patches), 1e-11)
     unbounded = mb.BezierTriangles([[[0, 0, 0, 1], [1, 0, 0, 0], [0, 1, 0, 0]]])
     leaves = build_leaves(unbounded)
-    assert leaves.exact.all() and np.isinf(leaves.box).any()
+    assert leaves.is_closed_form.all() and np.isinf(leaves.box).any()
 
 
 def test_other_nets_have_no_closed_form():
-    assert not build_leaves(wavy(2, 30)).exact.any()
-    assert not build_leaves(mb.torus()).exact.any()
+    assert not build_leaves(wavy(2, 30)).is_closed_form.any()
+    assert not build_leaves(mb.torus()).is_closed_form.any()
     ball = mb.sphere(cover="tetrahedral").control_points
     rng = np.random.default_rng(3)
     bent = mb.BezierTriangles(ball * (1 + 1e-4 * rng.normal(size=ball.shape)))
-    assert not build_leaves(bent).exact.any()
+    assert not build_leaves(bent).is_closed_form.any()
 
 
 def ellipsoid(rng):
@@ -378,8 +381,10 @@ def test_octants_of_ellipsoids_are_met_through_their_quadric(rounded):
     if rounded:
         patches = mb.BezierTriangles(patches.control_points.astype(np.float32))
     leaves = build_leaves(patches)
-    assert leaves.exact.all() and len(leaves) == 8 and len(np.unique(leaves.group)) == 1
-    assert build_leaves(patches, LeafSettings(sections=False)).are_inverted.all()
+    assert leaves.is_closed_form.all() and len(leaves) == 8
+    leaves = leaves.closed_form
+    assert len(np.unique(leaves.group)) == 1
+    assert build_leaves(patches, LeafSettings(sections=False)).kinds <= INVERTED_KINDS
     planes = edge_planes(leaves)
     # the planes' values tell the octants apart, and are zero on the edges only
     uv = np.random.default_rng(6).dirichlet(np.ones(3), 40)[:, :2]
@@ -394,24 +399,24 @@ def test_patches_near_to_octants_have_no_closed_form():
     net = mb.sphere(cover="octants").control_points
     rng = np.random.default_rng(4)
     bent = mb.BezierTriangles(net * (1 + 1e-5 * rng.normal(size=net.shape)))
-    assert not build_leaves(bent).exact.any()
+    assert not build_leaves(bent).is_closed_form.any()
     # an octant in other parameters of degree 8: its edges stay plane, so it has one
-    assert build_leaves(mb.BezierTriangles(net).elevate(4)).exact.all()
+    assert build_leaves(mb.BezierTriangles(net).elevate(4)).is_closed_form.all()
     # a part of one, cut out along curves that are not plane: the planes do not tell what is on it
     domain = np.array([[0.8, 0.1, 0.1], [0.2, 0.6, 0.2], [0.1, 0.2, 0.7]])
-    assert build_leaves(mb.BezierTriangles(net).subtriangle(domain)).are_inverted.all()
+    assert build_leaves(mb.BezierTriangles(net).subtriangle(domain)).kinds <= INVERTED_KINDS
 
 
 def test_one_quadric_is_met_once():
-    leaves = build_leaves(mb.sphere(cover="tetrahedral"))
+    leaves = build_leaves(mb.sphere(cover="tetrahedral")).closed_form
     assert len(np.unique(leaves.group)) == 1
-    forms = leaves.form[:, :10]
+    forms = leaves.quadric
     assert (forms == forms[0]).all() and (leaves.shift == leaves.shift[0]).all()
     # two quadrics, two groups; those of many patches are cut
     two = mb.BezierTriangles.join(
         [mb.sphere(cover="tetrahedral"), mb.sphere(center=(0.1, 0, 0), cover="tetrahedral")]
     )
-    leaves = build_leaves(two)
+    leaves = build_leaves(two).closed_form
     assert len(np.unique(leaves.group)) == 2
     for g in np.unique(leaves.group):
         assert len(np.unique(leaves.patch[leaves.group == g] // 10)) == 1
@@ -422,13 +427,13 @@ def test_joined_leaves():
     parts += [build_leaves(wavy(4)), build_leaves(mb.sphere(cover="lunes"))]
     both = Leaves.join(parts)
     assert len(both) == sum(len(p) for p in parts)
-    assert both.net.shape[1] == bernstein.size(4)
-    groups = [set(both.group[both.exact][:10]), set(both.group[both.exact][10:])]
-    assert not groups[0] & groups[1]
+    assert both.graph.net.shape[1] == bernstein.size(4)
+    group = both.closed_form.group
+    assert not set(group[:10]) & set(group[10:])
     # nets of lower degree are padded: the same points
-    first = Leaves(**{f: getattr(both, f)[: len(parts[0])] for f in vars(both)})
+    first = both.graph.select(np.arange(len(parts[0])))
     uv = lattice(4)
-    assert np.abs(chart_points(first, uv) - chart_points(parts[0], uv)).max() < 1e-15
+    assert np.abs(chart_points(first, uv) - chart_points(parts[0].graph, uv)).max() < 1e-15
 
 
 # ---------------------------------------------------------------- tree

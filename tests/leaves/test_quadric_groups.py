@@ -10,7 +10,6 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import DEVIATION
 
 CENTRE = np.array([0.5, 0.25, 0.125])
 
@@ -29,12 +28,13 @@ def test_small_shells_beside_something_large(cover, radius, ratio):
     small = [ball(cover, r, CENTRE) for r in (radius, ratio * radius)]
     patches = mb.BezierTriangles.join([*small, large])
     leaves = build_leaves(patches)
-    assert leaves.exact.all() and len(leaves) == len(patches)
+    assert leaves.is_closed_form.all() and len(leaves) == len(patches)
+    leaves = leaves.closed_form
     sphere = leaves.patch // len(small[0])
     for group in np.unique(leaves.group):
         assert len(np.unique(sphere[leaves.group == group])) == 1
     # float64, over what is left of a centre near one: 1e-16 / 1e-4 twice, as it is squared
-    assert leaves.form[:, DEVIATION].max() < 1e-9
+    assert leaves.deviation.max() < 1e-9
     structure = build_structure(leaves, Float)
     o = [Float(x) for x in CENTRE]
     inside = intersect(structure, o, [Float(0), Float(0.6), Float(0.8)], Float(np.inf))
@@ -50,22 +50,22 @@ def test_one_patch_of_another_shell():
     large = ball("tetrahedral", 1.0, np.full(3, -1.0))
     small = ball("tetrahedral", 1e-3, CENTRE)
     other = mb.BezierTriangles(ball("tetrahedral", 1.1e-3, CENTRE).control_points[:1])
-    leaves = build_leaves(mb.BezierTriangles.join([small, other, large]))
+    leaves = build_leaves(mb.BezierTriangles.join([small, other, large])).closed_form
     assert np.bincount(leaves.group).tolist().count(1) == 1
-    assert leaves.form[:, DEVIATION].max() < 1e-9  # as above
+    assert leaves.deviation.max() < 1e-9  # as above
 
 
 @pytest.mark.parametrize("cover", ["tetrahedral", "octants", "lunes"])
 def test_spheres_have_a_group_each(cover):
     centres = np.random.default_rng(1).uniform(-1, 1, (50, 3))
     patches = mb.BezierTriangles.join([ball(cover, 0.01, c) for c in centres])
-    leaves = build_leaves(patches)
+    leaves = build_leaves(patches).closed_form
     each = len(patches) // 50
     assert len(leaves) == len(patches)
     assert len(np.unique(leaves.group)) == 50
     for group in np.unique(leaves.group):
         assert len(np.unique(leaves.patch[leaves.group == group] // each)) == 1
-    assert leaves.form[:, DEVIATION].max() < 2e-12  # of which 1e-12 is for the neighbour's
+    assert leaves.deviation.max() < 2e-12  # of which 1e-12 is for the neighbour's
 
 
 @pytest.mark.parametrize("cover", ["tetrahedral", "octants", "lunes"])
@@ -75,4 +75,4 @@ def test_nets_in_float32(cover):
     patches = mb.BezierTriangles(patches.control_points.astype(np.float32).astype(np.float64))
     far = ball(cover, 1.0, np.full(3, -2.0))
     leaves = build_leaves(mb.BezierTriangles.join([patches, far]))
-    assert leaves.exact.all() and len(np.unique(leaves.group)) == 2
+    assert leaves.is_closed_form.all() and len(np.unique(leaves.closed_form.group)) == 2

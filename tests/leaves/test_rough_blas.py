@@ -12,7 +12,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.linear import SINGULAR, hadamard_ratio, inverses
 from mitsuba_bezier.io import load_trimmed
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import SECTION, Leaves
+from mitsuba_bezier.leaves.records import Leaves
 
 MODELS = Path(__file__).parents[2] / "scenes" / "models"
 #: In general position, of numbers that are the same on every machine.
@@ -54,11 +54,9 @@ BODIES = {
 }
 
 
-def kinds(leaves: Leaves) -> list[tuple[int, bool, float]]:
+def kinds(leaves: Leaves) -> list[tuple[int, int]]:
     """Return the kind of each leaf, patch by patch."""
-    return sorted(
-        zip(leaves.patch.tolist(), leaves.exact.tolist(), (leaves.form[:, SECTION] * leaves.exact))
-    )
+    return sorted(zip(leaves.patch.tolist(), leaves.kind.tolist()))
 
 
 @pytest.mark.parametrize("body", BODIES)

@@ -16,7 +16,7 @@ from mitsuba_bezier.kernels.closed_form import members
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.closed_form.plane_sections import edge_planes, shared_map
-from mitsuba_bezier.leaves.records import SECTION, Leaves
+from mitsuba_bezier.leaves.records import LeafKind, Leaves
 
 
 def turned(patches: mb.BezierTriangles, scale=(1.0, 2.0, 0.5)) -> mb.BezierTriangles:
@@ -60,15 +60,16 @@ def test_fractions_give_the_stereographic_coordinates(kind):
     patches, degree = OCTANTS[kind]
     patches = turned(patches)
     leaves = build_leaves(patches)
-    assert (leaves.form[:, SECTION] == 1).all() and len(leaves) == 8
+    assert leaves.kinds == {LeafKind.PLANE_SECTIONS} and len(leaves) == 8
+    leaves = leaves.closed_form
     powers = bernstein.multi_indices(patches.degree)[:, :2]
-    assert powers[leaves.net.any(axis=(0, 2))].sum(axis=1).max() == degree
+    assert powers[leaves.polynomials.any(axis=(0, 2))].sum(axis=1).max() == degree
     uv = np.random.default_rng(3).dirichlet(np.ones(3), 50)[:, :2]
     terms = np.prod((uv[:, None] - 1 / 3) ** powers, axis=2)
     for leaf, patch in enumerate(leaves.patch):
-        p, q = ((terms @ leaves.net[leaf]).reshape(-1, 2, 2) @ [1, 1j]).T
+        p, q = ((terms @ leaves.polynomials[leaf]).reshape(-1, 2, 2) @ [1, 1j]).T
         x = patches.points(np.full(50, patch), uv) - leaves.shift[leaf]
-        value = x @ leaves.frame[leaf, :3, :3].T + leaves.frame[leaf, :3, 3]
+        value = x @ leaves.rows[leaf, :3, :3].T + leaves.rows[leaf, :3, 3]
         value /= value.sum(axis=1, keepdims=True)
         # all clips of the kernel leave these coordinates alone
         assert (value[:, :2] > 0.04).all() and (value[:, :2] < 0.96).all()
@@ -118,9 +119,9 @@ def test_congruent_patches_share_a_map(kind, single):
 
 def test_others_do_not():
     leaves = build_leaves(BOTH)
-    assert shared_map(leaves, edge_planes(leaves)) is None
+    assert shared_map(leaves.closed_form, edge_planes(leaves.closed_form)) is None
     built = structure.build_structure(leaves, llvm.Float)
-    assert built.has_sections and built.shared_section is None
+    assert built.has(LeafKind.PLANE_SECTIONS) and built.shared_section is None
     octants = build_leaves(mb.sphere(cover="octants"))
     assert structure.build_structure(octants, llvm.Float).shared_section is not None
     others = [mb.sphere(cover="octants"), mb.sphere(cover="lunes").elevate(2)]
@@ -201,11 +202,11 @@ def test_patch_numbers(order):
             turned(mb.sphere(cover="tetrahedral"), (0.3,) * 3),
         ]
         leaves = [build_leaves(p) for p in parts]
-        leaves[1].patch = leaves[1].patch + 3
+        leaves[1] = leaves[1].of_patches(3 + np.arange(len(parts[1])))
         leaves = Leaves.join(leaves)
     else:
         leaves = build_leaves(patches)
-    assert leaves.exact.all()
+    assert leaves.is_closed_form.all()
     o, d = rays(50_000, 7)
     valid, t, patch, uv = hits(leaves, o, d)
     assert valid.sum() > 500

@@ -21,7 +21,7 @@ from leaf_cases import (
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import shapes
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import SECTION, LeafSettings
+from mitsuba_bezier.leaves.records import INVERTED_KINDS, LeafKind, LeafSettings
 from mitsuba_bezier.oracles.reference import first_hit
 
 SURFACES = {
@@ -40,7 +40,7 @@ SURFACES = {
 @pytest.mark.parametrize("patches", SURFACES.values(), ids=SURFACES.keys())
 def test_hits(patches):
     leaves = build_leaves(patches)
-    assert leaves.exact.all() and len(leaves) == len(patches)
+    assert leaves.is_closed_form.all() and len(leaves) == len(patches)
     assert_hits_are_those_of_the_reference(patches, leaves)
 
 
@@ -62,7 +62,7 @@ def test_next_to_the_apex(rounded):
     o = o.astype(np.float32)
     d = (target - o).astype(np.float32)
     leaves = build_leaves(cone)
-    assert leaves.exact.all() and len(np.unique(leaves.group)) == 1
+    assert leaves.is_closed_form.all() and len(np.unique(leaves.closed_form.group)) == 1
     expected = first_hit(cone, o, d)
     t = np.array(traced(leaves, o, d).t, dtype=float)
     judged = expected.margin.decidable(6e-7) & ~(expected.margin.cosine < 0.01)
@@ -108,23 +108,25 @@ def test_among_others():
     ]
     # a point in the tolerance of an edge may belong to the neighbour
     structure = assert_found_among_others(parts, others=3e-3)
-    assert structure.has_cones and structure.has_inverted and structure.has_sections
+    assert {LeafKind.CONE, LeafKind.PLANE_SECTIONS} <= structure.kinds
+    assert structure.has(*INVERTED_KINDS)
 
 
 def test_elevated_and_not_quite():
     cone, disk = shapes.cone(), shapes.disk()
     for patches in (cone.elevate(), disk.elevate(2)):
-        assert build_leaves(patches).exact.all()
+        assert build_leaves(patches).is_closed_form.all()
     # trims ask for the parameters of every root
-    assert build_leaves(cone, LeafSettings(sections=False)).are_inverted.all()
+    assert build_leaves(cone, LeafSettings(sections=False)).kinds <= INVERTED_KINDS
     for patches, rows in ((cone, (2, 4, 5)), (disk, (2, 4))):
         for row in rows:
             net = patches.control_points.copy()
             net[0, row, 0] += 1e-5
             mark = build_leaves(mb.BezierTriangles(net))
-            assert not mark.exact[mark.patch == 0].any() or patches is disk
-            assert not mark.are_cones[mark.patch == 0].any()
+            assert not mark.is_closed_form[mark.patch == 0].any() or patches is disk
+            assert not (mark.kind[mark.patch == 0] == LeafKind.CONE).any()
     # a point of the arc may be anywhere
     net = cone.control_points.copy()
     net[0, 1] += [0.1, 0.2, 0.1, 0.3]
-    assert build_leaves(mb.BezierTriangles(net)).form[:, SECTION].tolist() == [-3.0] * 3
+    leaves = build_leaves(mb.BezierTriangles(net)).closed_form
+    assert leaves.kind.tolist() == [LeafKind.CONE] * 3 and leaves.corner.tolist() == [2] * 3

@@ -117,7 +117,7 @@ def test_reads(trial):
         else:
             assert 1 <= kinds["nodes"]["records"] < 400, surface
     # a single quadric is not gathered, only its patches; the others read quadratics and nets
-    assert reads["sphere, tetrahedral", "random"].keys() == {"members", "rows"}
+    assert reads["sphere, tetrahedral", "random"].keys() == {"members", "inverses"}
     assert reads["sphere, general", "random"].keys() >= {"nodes", "affine", "nets"}
     # about 0.9 of the random rays hit the sphere: each hit reads a net, few rays more than two
     assert 0.5 < reads["sphere, general", "random"]["nets"]["records"] < 3

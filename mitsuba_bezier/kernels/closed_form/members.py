@@ -1,18 +1,20 @@
-"""Which patch of a group of exact leaves a point of their quadric is on, and its parameters."""
+"""Find the patch of a quadric that a point is on, and its parameters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 
-from ...leaves.records import INVERTED
+from ...leaves.records import CLOSED_FORMS, INVERTED_KINDS, LeafKind
 from ..arrays import Types, dot3, gather_packets, reciprocal
-from ..quadric_records import CELLS, FEW, MEMBER, TABLE
+from ..quadric_records import CELLS, INVERSE, MEMBER, MIN_GROUP_FOR_TABLE, TABLE
+from ..records import is_kind
 from ..structure import Structure
 from ..trim import leaf_test
-from .newton import inverted_parameters
+from .newton import inverted_parameters, shared_rows
 
 __all__ = ["Roots", "find_members", "find_members_singly"]
 
@@ -41,17 +43,22 @@ class Roots:
         return [dr.fma(along, d, p) for d, p in zip(self.direction, self.middle)]
 
 
-def _inside(m: list[Any], p: list[Any], tolerance: Any) -> Any:
-    """Tell whether a point is between the three sides of a member."""
-    bary = _values(m, p)
+def _inside(s: Structure, m: SimpleNamespace, p: list[Any], tolerance: Any) -> Any:
+    """Return a mask of points that are between the three sides of a member."""
+    bary = _values(m.sides, p)
     total = bary[0] + bary[1] + bary[2]
     # Compared before a division: near the centre of projection all four are roundings.
     # Only patches that reach the centre, the lunes, may have a hit there.
     size = dr.abs(total)
-    sign = dr.select(m[14] != 0.0, 1.0, total)  # planes have sides, barycentrics have not
-    signed = [dr.mulsign(b, sign) for b in bary]
+    # planes have sides, barycentrics have not
+    signed = bary
+    if s.has(LeafKind.LINEAR):
+        sign = total
+        if s.has(*CLOSED_FORMS - {LeafKind.LINEAR}):
+            sign = dr.select(is_kind(m.kind, LeafKind.LINEAR), total, 1.0)
+        signed = [dr.mulsign(b, sign) for b in bary]
     lowest = dr.minimum(dr.minimum(signed[0], signed[1]), signed[2])
-    return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m[13])
+    return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m.least_sum)
 
 
 def find_members(
@@ -70,10 +77,10 @@ def find_members(
     """
     want1, want2 = roots.wanted
     k, following = first, first + 1
-    if dr.width(s.members) > dr.width(s.rows):
+    if s.has_tables:
         first = first + (group + 1) * TABLE
         point = [dr.select(want1, a, b) for a, b in zip(*roots.point)]
-        many = count >= FEW
+        many = count >= MIN_GROUP_FOR_TABLE
         likely = _likely_member(s, ty, first, point, many & (want1 | want2))
         k = dr.select(many, first + dr.minimum(likely, count - 1), first)
         following = dr.select(many, first, first + 1)
@@ -85,10 +92,10 @@ def find_members(
     def body(
         run: Any, k: Any, following: Any, hit1: Any, hit2: Any, leaf1: Any, leaf2: Any, sides: Any
     ) -> Any:
-        m = gather_packets(s.members, k, MEMBER, run)
-        leaf = dr.reinterpret_array(ty.UInt, m[12])
-        is_in1 = _inside(m, roots.point[0], roots.tolerance[0])
-        is_in2 = _inside(m, roots.point[1], roots.tolerance[1])
+        m = MEMBER.gather(s.members, k, run, "kind")
+        leaf = m.leaf
+        is_in1 = _inside(s, m, roots.point[0], roots.tolerance[0])
+        is_in2 = _inside(s, m, roots.point[1], roots.tolerance[1])
         in1, in2 = want1 & ~hit1 & is_in1, want2 & ~hit2 & is_in2
         kept = leaf_test(s, leaf)
         if kept is not None:
@@ -97,7 +104,7 @@ def find_members(
         hit1, hit2 = hit1 | in1, hit2 | in2
         leaf1, leaf2 = dr.select(in1, leaf, leaf1), dr.select(in2, leaf, leaf2)
         if s.by_sides:
-            at1, at2 = (_values(m, p) for p in roots.point)
+            at1, at2 = (_values(m.sides, p) for p in roots.point)
             sides = [
                 dr.select(in1, x1, dr.select(in2, x2, x)) for x1, x2, x in zip(at1, at2, sides)
             ]
@@ -125,7 +132,7 @@ def _from_sides(
     s: Structure, sides: list[Any], leaf: Any, along: Any, hit: Any, parameters: Any
 ) -> tuple[Any, Any]:
     """Return the parameters of hits from the values of their sides, what else finds them if not."""
-    x, y, rest = _values(s.shared_section, sides) if s.shared_section else sides
+    x, y, rest = _values(shared_rows(s), sides) if s.shared_section else sides
     total = dr.select(hit, x + y + rest, 1.0)
     scale = reciprocal(total)
     u, v = x * scale, y * scale
@@ -160,30 +167,30 @@ def find_members_singly(
     masks = [dr.select(wanted, mask, 0) for wanted, mask in zip(roots.wanted, masks)]
 
     def body(run: Any, left: Any, hit: Any, second: Any, leaf: Any, u: Any, v: Any) -> Any:
-        def step(go: Any, left: Any, found: Any, second: Any, leaf: Any, mark: Any) -> Any:
+        def step(go: Any, left: Any, found: Any, second: Any, leaf: Any, kind: Any) -> Any:
             place = ty.UInt(dr.tzcnt(left))
             left = left & (left - 1)
-            m = gather_packets(s.members, first + (place & 15), MEMBER, go)
-            leaf, mark = dr.reinterpret_array(ty.UInt, m[12]), m[14]
+            m = MEMBER.gather(s.members, first + (place & 15), go, "kind")
+            leaf, kind = m.leaf, m.kind
             second = place >= 16
             p = [dr.select(second, b, a) for a, b in zip(*roots.point)]
             tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
-            found = go & _inside(m, p, tolerance)
-            return go & ~found & (left != 0), left, found, second, leaf, mark
+            found = go & _inside(s, m, p, tolerance)
+            return go & ~found & (left != 0), left, found, second, leaf, kind
 
         no = ty.Bool(False)
-        _go, left, found, second, leaf, mark = dr.while_loop(
-            (run, left, no, no, leaf, dr.zeros(ty.Float32)),  # as members are
+        _go, left, found, second, leaf, kind = dr.while_loop(
+            (run, left, no, no, leaf, dr.zeros(ty.UInt)),
             cond=lambda *st: st[0],
             body=step,
-            labels=("go", "left", "found", "second", "leaf", "mark"),
+            labels=("go", "left", "found", "second", "leaf", "kind"),
             label="bezier likely members",
         )
         p = roots.exactly(dr.select(second, roots.along[1], roots.along[0]))
         tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
-        by_newton = mark == INVERTED
+        by_newton = is_kind(kind, LeafKind.INVERTED) | is_kind(kind, LeafKind.INVERTED_APEX)
         inside, u, v = inverted_parameters(s, ty, leaf, p, tolerance, found & by_newton)
-        if not s.only_inverted:
+        if s.has(*CLOSED_FORMS - INVERTED_KINDS):
             other_u, other_v = _barycentrics(s, ty, leaf, p, found & ~by_newton)
             u, v = dr.select(by_newton, u, other_u), dr.select(by_newton, v, other_v)
         hit = found & (inside | ~by_newton)
@@ -206,34 +213,36 @@ def find_members_singly(
 
 def _possible_members(s: Structure, ty: Types, table: Any, point: list[Any], active: Any) -> Any:
     """Look up which members of a group may have a point, as bits."""
-    at = table * CELLS
+    at = table * CELLS.size
     scale = gather_packets(s.cells, at >> 3, 8, active)
     inside, cell = ty.Bool(True), ty.UInt(0)
     for a in range(3):
         x = dr.fma(point[a], scale[a], 4.0)
         inside = inside & (x >= 0.0) & (x < 8.0)
         cell = cell | ((ty.UInt(dr.clip(x, 0.0, 7.0)) & 7) << (3 * a))
-    word = dr.gather(ty.Float32, s.cells, at + 8 + (cell >> 1), active & inside)
+    word = dr.gather(
+        ty.Float32, s.cells, at + CELLS.first["members"] + (cell >> 1), active & inside
+    )
     bits = dr.reinterpret_array(ty.UInt, word) >> ((cell & 1) << 4)
     return dr.select(inside, bits & 0xFFFF, 0)
 
 
 def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active: Any) -> Any:
     """Look up which member of a group covers a point, most likely, in the table before them."""
-    floats, bits = first * MEMBER, ty.UInt(0)
-    word = dr.gather(ty.Float32, s.members, floats + (MEMBER - 1), active)
+    floats, cell = first * MEMBER.size, ty.UInt(0)
+    word = dr.gather(ty.Float32, s.members, floats + MEMBER.first["cells"], active)
     word = dr.reinterpret_array(ty.UInt, word)
     for a in range(3):
         scale = dr.reinterpret_array(ty.Float32, ((word >> (10 * a)) & 1023) << 21)
-        cell = ty.UInt(dr.clip(dr.fma(point[a], ty.Float(scale), 4.0), 0.0, 7.0))
-        bits = bits | ((cell & 7) << (3 * a))
-    word = dr.gather(ty.Float32, s.members, floats - TABLE * MEMBER + (bits >> 3), active)
-    return (dr.reinterpret_array(ty.UInt, word) >> ((bits & 7) << 2)) & 15
+        along = ty.UInt(dr.clip(dr.fma(point[a], ty.Float(scale), 4.0), 0.0, 7.0))
+        cell = cell | ((along & 7) << (3 * a))
+    word = dr.gather(ty.Float32, s.members, floats - TABLE * MEMBER.size + (cell >> 3), active)
+    return (dr.reinterpret_array(ty.UInt, word) >> ((cell & 7) << 2)) & 15
 
 
-def _values(rows: list[Any], p: list[Any]) -> list[Any]:
-    """Return three linear forms of a point."""
-    return [dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3] for r in range(3)]
+def _values(rows: list[list[Any]], p: list[Any]) -> list[Any]:
+    """Return linear forms of a point."""
+    return [dot3(row, p) + row[3] for row in rows]
 
 
 def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
@@ -242,16 +251,17 @@ def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any)
     For sectors of cones these are the first two from the corner on that is their apex.
     """
     number = dr.select(active, leaf - s.first_group, 0)
-    m = gather_packets(s.rows, number, MEMBER if s.has_cones else 12, active)
-    bary = _values(m, p)
+    has_cones = s.has(LeafKind.CONE)
+    m = INVERSE.gather(s.inverses, number, active, None if has_cones else "rows")
+    bary = _values(m.rows, p)
     total = ty.Float(bary[0] + bary[1] + bary[2])
     inv = reciprocal(dr.select(total == 0.0, 1.0, total))
     b0, b1, b2 = (ty.Float(b) for b in bary)
     u, v = b0 * inv, b1 * inv
-    if not s.has_cones:
+    if not has_cones:
         return u, v
     # all that is no sector has a fourth row of zeros
-    last = ty.Float(dot3(m[12:15], p) + m[15])
+    last = ty.Float(dot3(m.fourth, p) + m.fourth[3])
     is_cone = last != 0.0
     # through the larger: where a coordinate is small its root is not well known
     first = b0 >= b2

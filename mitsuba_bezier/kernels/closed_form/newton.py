@@ -1,4 +1,4 @@
-"""Parameters of points of patches on quadrics by Newton's method in the plane.
+"""Find parameters of points of patches on quadrics by Newton's method in the plane.
 
 Those of a hit on a patch that is bounded by plane sections of its quadric, and those that tell
 whether a point of the quadric is on a patch at all.
@@ -14,10 +14,10 @@ from ...geometry import bernstein
 from ...leaves.closed_form import newton as plane_inverse
 from ..arrays import Types, dot3, gather_packets, reciprocal
 from ..net import horner, horner_value
-from ..quadric_records import MEMBER
+from ..quadric_records import INVERSE
 from ..structure import Structure
 
-__all__ = ["inverted_parameters", "section_parameters"]
+__all__ = ["inverted_parameters", "section_parameters", "shared_rows"]
 
 #: Newton's method ends after a step below this: the error is then its square.
 LAST_STEP = 1e-4
@@ -91,10 +91,8 @@ def inverted_parameters(
     inside : Bool
     u, v : Float
     """
-    rows = gather_packets(s.rows, dr.select(active, leaf - s.first_group, 0), MEMBER, active)
-    x, y, rest, side = (
-        ty.Float(dot3(rows[4 * r : 4 * r + 3], p) + rows[4 * r + 3]) for r in range(4)
-    )
+    m = INVERSE.gather(s.inverses, dr.select(active, leaf - s.first_group, 0), active)
+    x, y, rest, side = (ty.Float(dot3(row, p) + row[3]) for row in (*m.rows, m.fourth))
     scale = reciprocal(x + y + rest)
     a, b = dr.fma(x, scale, -0.5), dr.fma(y, scale, -0.5)
     equations, degree = _equations(s, leaf, a, b, active)
@@ -169,11 +167,11 @@ def inverted_parameters(
 
 def _equations(s: Structure, leaf: Any, a: Any, b: Any, active: Any) -> tuple[list[Any], int]:
     """Return the coefficients of the real and imaginary part of ``P - (a + i b) Q``."""
-    degree = _degree(s)
+    degree = s.polynomial_degree
     net = (
-        s.shared_section[12:]
+        s.shared_section[len(shared_rows(s)) * 4 :]
         if s.shared_section
-        else gather_packets(s.planes, leaf - s.first_group, bernstein.size(degree) * 4, active)
+        else gather_packets(s.polynomials, leaf - s.first_group, bernstein.size(degree) * 4, active)
     )
     equations: list[Any] = []
     for k in range(bernstein.size(degree)):
@@ -183,10 +181,7 @@ def _equations(s: Structure, leaf: Any, a: Any, b: Any, active: Any) -> tuple[li
     return equations, degree
 
 
-def _degree(s: Structure) -> int:
-    """Return the degree of the polynomials, of which each leaf has a record."""
-    floats = dr.width(s.planes) * MEMBER // dr.width(s.rows)
-    degree = 1
-    while bernstein.size(degree + 1) * 4 <= floats:
-        degree += 1
-    return degree
+def shared_rows(s: Structure) -> list[list[Any]]:
+    """Return the rows of `Structure.shared_section`."""
+    assert s.shared_section is not None
+    return [s.shared_section[4 * r : 4 * r + 4] for r in range(3)]

@@ -1,4 +1,4 @@
-"""Ray against a group of exact leaves: one quadric in closed form, then which patch it is."""
+"""Intersect rays with the patches of a quadric: in closed form, then which patch it is."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Any
 
 import drjit as dr
 
-from ..arrays import Types, dot3, gather_packets, inverse_root, reciprocal
+from ...leaves.records import INVERTED_KINDS, LeafKind
+from ..arrays import Types, dot3, inverse_root, reciprocal
 from ..edges import edge_tolerance
 from ..quadric_records import AXES, GROUP
 from ..structure import Structure
@@ -37,16 +38,17 @@ def group_hit(
     leaf : UInt
     """
     f64 = ty.Float64
-    g = s.only_group or gather_packets(s.groups, group, GROUP, active)
-    a = g[:10]
+    g = GROUP.read(s.only_group) if s.only_group else GROUP.gather(s.groups, group, active)
+    a = g.quadric
+    has_apexes = s.has(LeafKind.CONE, LeafKind.INVERTED_APEX)
     dd = [f64(d[i]) for i in range(3)]
-    od = [f64(o[i]) - g[10 + i] for i in range(3)]
-    if s.has_axes:  # in which the group is about as large in one direction as in another
-        axes = gather_packets(s.axes, group, AXES, active)[:9]
-        od, dd = ([dot3(axes[3 * r : 3 * r + 3], x) for r in range(3)] for x in (od, dd))
+    od = [f64(o[i]) - g.shift[i] for i in range(3)]
+    if s.axes is not None:  # in which the group is about as large in one direction as in another
+        axes = AXES.gather(s.axes, group, active).rows
+        od, dd = ([dot3(row, x) for row in axes] for x in (od, dd))
         o, d = ([ty.Float(c) for c in x] for x in (od, dd))
     else:
-        o = [o[i] - ty.Float(g[10 + i]) for i in range(3)]
+        o = [o[i] - ty.Float(g.shift[i]) for i in range(3)]
     # any point near the group will do, the exact nearest is not needed
     length2 = dot3(d, d)
     t0 = f64(-dot3(o, d) * reciprocal(length2))
@@ -79,7 +81,7 @@ def group_hit(
     near = dr.select(swap, exact2, exact1)
     far = dr.select(swap, exact1, dr.select(linear, dr.inf, exact2))
     t1, t2 = ty.Float(t0 + near), ty.Float(t0 + far)
-    if s.has_apexes:  # lines through one have a double root, which rounding must not take away
+    if has_apexes:  # lines through one have a double root, which rounding must not take away
         disc = disc + APEX * dot3([ax, ay, az], [ax, ay, az]) * f64(length2)
     valid = active & (disc >= 0.0)
     want1 = valid & (t1 > 0.0) & (t1 < t_max)
@@ -90,10 +92,10 @@ def group_hit(
 
     def tolerance_for(gradient: list[Any]) -> Any:
         cosine = root * inverse_root(dot3(gradient, gradient) * length2)
-        return edge_tolerance(cosine, ty.Float(g[15]))
+        return edge_tolerance(cosine, ty.Float(g.deviation))
 
     tolerance1 = tolerance2 = tolerance_for(gradient)
-    if s.has_apexes:  # where the gradient has no size that it has everywhere, more or less
+    if has_apexes:  # where the gradient has no size that it has everywhere, more or less
         turn = [ty.Float(x) for x in (qx, qy, qz)]
         tolerance1, tolerance2 = (
             tolerance_for([dr.fma(x, turn[i], gradient[i]) for i in range(3)])
@@ -103,8 +105,8 @@ def group_hit(
     p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
 
     roots = Roots([want1, want2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd)
-    first, count = ty.UInt(g[13]), ty.UInt(g[14])
-    if s.has_inverted:
+    first, count = ty.UInt(g.first), ty.UInt(g.count)
+    if s.has(*INVERTED_KINDS):
         found = find_members_singly(s, ty, first, count, roots)
     else:
         found = find_members(s, ty, group, first, count, roots)

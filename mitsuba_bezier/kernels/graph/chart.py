@@ -1,4 +1,4 @@
-"""A ray in the chart of a graph leaf, and culling by the leaf's quadratic.
+"""Cull a ray by the quadratic of a graph leaf, in the leaf's chart.
 
 ``docs/intersection.md`` gives the argument; `mitsuba_bezier.leaves.records` the records.
 """
@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from ...leaves.records import LEAST_REACH
-from ..arrays import Types, dot3, gather_packets, reciprocal
+from ...leaves.records import LEAST_REACH, LeafKind
+from ..arrays import Types, dot3, reciprocal
 from ..structure import (
     AFFINE,
     LEAST_REMAINDER,
@@ -72,9 +73,9 @@ def cull(
         False: there is certainly no hit in this leaf for ``0 < t < t_max``.
     line : ChartLine
     """
-    if s.has_affine and not s.has_projective:
+    if not s.has(LeafKind.GRAPH_PROJECTIVE):
         return _cull_affine(s, ty, leaf, o, d, t_max, active, decide)
-    if not s.has_affine:
+    if not s.has(LeafKind.GRAPH_AFFINE):
         return _cull_projective(s, ty, leaf - s.first_projective, o, d, t_max, active)
     straight = leaf < s.first_projective
     return dr.if_stmt(
@@ -96,25 +97,28 @@ def _cull_affine(
     Only the ray's point near the leaf is found in float64, so that neither rays from afar nor
     scenes far off make it worse. The march goes along a line that is known better: `affine_line`.
     """
-    record = gather_packets(s.affine, leaf, AFFINE, active)
-    rows = _rows(record)
+    record = AFFINE.gather(s.affine, leaf, active)
+    rows = record.rows
     e = [dot3(row, d) for row in rows]
     f64 = ty.Float64
-    t0 = f64(-dot3([o[i] - ty.Float(record[i]) for i in range(3)], d) * reciprocal(dot3(d, d)))
-    near = _point(ty, record, t0, o, d)
+    t0 = f64(
+        -dot3([o[i] - ty.Float(record.shift[i]) for i in range(3)], d) * reciprocal(dot3(d, d))
+    )
+    near = _point(ty, record.shift, t0, o, d)
     x0 = [dot3(row, [ty.Float(x) for x in near]) for row in rows]
     # on a leaf as thin as a hair the nearest point may be thousands of widths away: then on to the
     # point nearest in the chart
     ahead = -dot3(x0, e) * reciprocal(dot3(e, e))
     x0 = [dr.fma(ahead, e[i], x0[i]) for i in range(3)]
     base = t0 + f64(ahead)
-    word = dr.reinterpret_array(ty.UInt, record[15])
+    word = record.remainder_outward
     remainder = _number(ty, word, 0, REMAINDER_DIGITS, LEAST_REMAINDER)
     outward = [_number(ty, word, at, REACH_DIGITS, LEAST_REACH) for at in OUTWARD_BITS]
     inward = None
     if decide:
-        words = [dr.reinterpret_array(ty.UInt, x) for x in record[12:15]]
-        inward = [_number(ty, word, 0, REACH_DIGITS, LEAST_REACH) for word in words]
+        inward = [
+            _number(ty, word, 0, REACH_DIGITS, LEAST_REACH) for word in record.quadratic_inward
+        ]
     lo, hi = ty.Float(-base), ty.Float(f64(t_max) - base)
     return _cull(base, x0, e, affine_quadratic(ty, record), remainder, outward, inward, lo, hi)
 
@@ -129,33 +133,27 @@ def _number(ty: Types, word: Any, at: int, digits: tuple[int, int], least: float
     return ty.Float(dr.reinterpret_array(ty.Float32, bits))
 
 
-def affine_quadratic(ty: Types, record: list[Any]) -> list[Any]:
+def affine_quadratic(ty: Types, record: SimpleNamespace) -> list[Any]:
     """Return the quadratic of an affine leaf."""
-    words = [dr.reinterpret_array(ty.UInt, x) & 0xFFFFFF00 for x in record[12:15]]
-    return [dr.reinterpret_array(ty.Float32, x) for x in words]
+    return [dr.reinterpret_array(ty.Float32, x & 0xFFFFFF00) for x in record.quadratic_inward]
 
 
-def _rows(record: list[Any]) -> list[list[Any]]:
-    """Return the rows of an affine leaf's chart."""
-    return [record[3 + 3 * r : 6 + 3 * r] for r in range(3)]
-
-
-def _point(ty: Types, record: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
+def _point(ty: Types, shift: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
     """Return the point of a ray at `t`, from a leaf's shift, in float64."""
     f64 = ty.Float64
-    return [dr.fma(t, f64(d[i]), f64(o[i]) - f64(record[i])) for i in range(3)]
+    return [dr.fma(t, f64(d[i]), f64(o[i]) - f64(shift[i])) for i in range(3)]
 
 
 def affine_line(
-    ty: Types, record: list[Any], base: Any, o: Any, d: Any, wide: bool = False
+    ty: Types, record: SimpleNamespace, base: Any, o: Any, d: Any, wide: bool = False
 ) -> tuple[list[Any], list[Any]]:
     """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero.
 
     `x0` is found in float64; both are float64 if `wide`.
     """
     f64 = ty.Float64
-    near = _point(ty, record, base, o, d)
-    rows = _rows(record)
+    near = _point(ty, record.shift, base, o, d)
+    rows = record.rows
     wide_rows = [[f64(x) for x in row] for row in rows]
     x0 = [dot3(row, near) for row in wide_rows]
     if wide:
@@ -163,7 +161,7 @@ def affine_line(
     return [ty.Float(x) for x in x0], [dot3(row, d) for row in rows]
 
 
-def projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, ...]:
+def projective_line(ty: Types, record: SimpleNamespace, o: Any, d: Any) -> tuple[Any, ...]:
     """Return the image of a ray under a projective leaf's collineation, in float64.
 
     Homogeneously the ray is ``a + s b``, ``a`` being the point nearest the shift. The image is
@@ -179,11 +177,11 @@ def projective_line(ty: Types, record: list[Any], o: Any, d: Any) -> tuple[Any, 
         Whether ``tau`` and the ray parameter need not grow together.
     """
     f64 = ty.Float64
-    od = [f64(o[i]) - f64(record[i]) for i in range(3)]
+    od = [f64(o[i]) - f64(record.shift[i]) for i in range(3)]
     dd = [f64(d[i]) for i in range(3)]
     t0 = -dot3(od, dd) / dot3(dd, dd)
     near = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
-    rows = [[f64(x) for x in record[4 + 4 * r : 8 + 4 * r]] for r in range(4)]
+    rows = [[f64(x) for x in row] for row in record.rows]
     a = [dot3(row, near) + row[3] for row in rows]
     b = [dot3(row, dd) for row in rows]
     aw, bw = a[3], b[3]
@@ -204,12 +202,15 @@ def _cull_projective(
     s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, ChartLine]:
     """As `_cull_affine`, on the line's image under the chart's collineation."""
-    record = gather_packets(s.projective, leaf, PROJECTIVE, active)
+    record = PROJECTIVE.gather(s.projective, leaf, active)
     x0, e, _parameter, _both = projective_line(ty, record, o, d)
     x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
     infinity = dr.full(ty.Float, dr.inf)
     zero = dr.zeros(ty.Float64)
-    return _cull(zero, x0, e, record[20:23], record[3], [record[23]] * 3, None, -infinity, infinity)
+    outward = [record.outward] * 3
+    return _cull(
+        zero, x0, e, record.quadratic, record.remainder, outward, None, -infinity, infinity
+    )
 
 
 def _cull(

@@ -1,4 +1,4 @@
-"""Hits at grazing angles, made exact in float64.
+"""Make hits at grazing angles exact, in float64.
 
 An error across the surface is an error along the ray divided by the cosine between the ray and the
 normal. What float32 leaves of it, some 1e-7 of a leaf's size, is seen near silhouettes of large
@@ -11,10 +11,9 @@ from typing import Any
 
 import drjit as dr
 
-from ...geometry import bernstein
-from ..arrays import Types, gather_packets
+from ..arrays import Types
 from ..net import graph_point
-from ..structure import AFFINE, HEAD, Structure
+from ..structure import AFFINE, Structure
 from .chart import affine_line
 
 __all__ = ["polish"]
@@ -55,9 +54,8 @@ def polish(
 
     def step(t: Any, u: Any, v: Any, closing: Any, leaf: Any, base: Any) -> Any:
         f64 = ty.Float64
-        record = gather_packets(s.affine, leaf, AFFINE, active)
-        size = HEAD + bernstein.size(s.degree) * s.components
-        net = [f64(x) for x in gather_packets(s.nets, leaf, size, active)[HEAD:]]
+        record = AFFINE.gather(s.affine, leaf, active)
+        net = [f64(x) for x in s.degree_record.gather(s.nets, leaf, active).net]
         (x0, y0, z0), (ex, ey, ez) = affine_line(ty, record, base, o, d, wide=True)
         u64, v64, tau = f64(u), f64(v), f64(t) - base
         (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, s.degree, u64, v64)

@@ -5,16 +5,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 
-from ...geometry import bernstein
-from ...leaves.records import BENDING_LIMIT, SIZES
-from ..arrays import Types, gather_packets, inverse_root, reciprocal, types_of
+from ...leaves.records import BENDING_LIMIT, SIZES, LeafKind
+from ..arrays import Types, inverse_root, reciprocal, types_of
 from ..edges import edge_tolerance
 from ..net import graph_point
-from ..structure import AFFINE, HEAD, PROJECTIVE, Structure
+from ..structure import AFFINE, PROJECTIVE, Structure
 from ..trim import leaf_test
 from .chart import ChartLine, affine_line, affine_quadratic, projective_line, root_fraction
 from .grazing import polish
@@ -53,9 +53,9 @@ def march(
     u, v : Float
         Leaf barycentrics.
     """
-    if not s.has_projective:
+    if not s.has(LeafKind.GRAPH_PROJECTIVE):
         return _march_affine(s, ty, leaf, line, o, d, t_max, active, any_hit)
-    if not s.has_affine:
+    if not s.has(LeafKind.GRAPH_AFFINE):
         return _march_projective(s, ty, leaf - s.first_projective, line, o, d, t_max, active)
     return dr.if_stmt(
         args=(leaf, line, o, d, t_max, active),
@@ -81,8 +81,8 @@ def _march_affine(
     active: Any,
     any_hit: bool,
 ) -> tuple[Any, Any, Any, Any]:
-    record = gather_packets(s.affine, leaf, AFFINE, active)
-    data = gather_packets(s.nets, leaf, HEAD + bernstein.size(s.degree) * s.components, active)
+    record = AFFINE.gather(s.affine, leaf, active)
+    data = s.degree_record.gather(s.nets, leaf, active)
     x0, e = affine_line(ty, record, line.base, o, d)
     hit, t, u, v, closing = _march(
         s.degree,
@@ -107,13 +107,13 @@ def _march_projective(
     s: Structure, ty: Types, leaf: Any, line: ChartLine, o: Any, d: Any, t_max: Any, active: Any
 ) -> tuple[Any, Any, Any, Any]:
     """March in float64: distances to the plane at infinity are differences of numbers near one."""
-    record = gather_packets(s.projective, leaf, PROJECTIVE, active)
-    data = gather_packets(s.far_nets, leaf, HEAD + bernstein.size(s.degree) * 4, active)
+    record = PROJECTIVE.gather(s.projective, leaf, active)
+    data = s.far_record.gather(s.far_nets, leaf, active)
     x0, e, to_t, both = projective_line(ty, record, o, d)
     hit, t, u, v, _closing = _march(
         s.degree,
         data,
-        record[20:23],
+        record.quadratic,
         x0,
         e,
         line,
@@ -129,7 +129,7 @@ def _march_projective(
 
 def _march(
     n: int,
-    data: list[Any],
+    data: SimpleNamespace,
     quadratic: list[Any],
     x0: list[Any],
     e: list[Any],
@@ -155,8 +155,8 @@ def _march(
     ----------
     n : int
         Degree.
-    data : list
-        Record of the net: variation, bending, the parameter quadratics, the coefficients.
+    data : record
+        See `structure.net_record`.
     quadratic : list
         The leaf's, three numbers.
     line : ChartLine
@@ -171,9 +171,9 @@ def _march(
         Tells which roots are not trimmed away.
     """
     ty = types_of(x0[0])
-    variation, net = data[0], data[HEAD:]
-    size = dr.floor(data[1] * (1.0 / BENDING_LIMIT))
-    bending = dr.fma(size, -BENDING_LIMIT, data[1])
+    variation, net = data.variation, data.net
+    size = dr.floor(data.bending * (1.0 / BENDING_LIMIT))
+    bending = dr.fma(size, -BENDING_LIMIT, data.bending)
     # the bounds hold for parameters with barycentrics down to `low`, up to `high`
     low = -SIZES[0] * dr.exp2(size * 0.5)
     high = 1.0 - 2.0 * low
@@ -202,9 +202,8 @@ def _march(
         x, y = dr.fma(tau, ex, x0), dr.fma(tau, ey, y0)
         w = 1.0 - x - y
         xy, xw, yw = x * y, x * w, y * w
-        u = x + dr.fma(data[2], xy, dr.fma(data[3], xw, data[4] * yw))
-        v = y + dr.fma(data[5], xy, dr.fma(data[6], xw, data[7] * yw))
-        return u, v
+        off = (dr.fma(q[0], xy, dr.fma(q[1], xw, q[2] * yw)) for q in data.start)
+        return x + next(off), y + next(off)
 
     def advance(
         go: Any, step: Any, tau: Any, u: Any, v: Any, sign: Any, root: Any, slope: Any, normal2: Any

@@ -6,10 +6,11 @@ import numpy as np
 
 from ...geometry import bernstein
 from ...geometry.triangles import BezierTriangles
-from ..records import FORM, FORM_ENTRIES
+from ..records import QUADRIC_ENTRIES
 
 __all__ = [
     "centre_and_size",
+    "entries",
     "fit_forms",
     "in_space",
     "local_nets",
@@ -45,15 +46,13 @@ def in_space(
     Returns
     -------
     rows : (L, R, 4) array
-    form : (L, FORM) array
-        With the quadric, of which a gradient of order one makes a length; the rest is zero.
+    quadrics : (L, 10) array
+        See `QUADRIC_ENTRIES`; a gradient of order one makes a length of their values.
     """
     units = np.ones((len(size), 4))
     units[:, :3] /= size[:, None]
     forms = forms * units[:, None] * units[:, :, None] * size[:, None, None]
-    form = np.zeros((len(size), FORM))
-    form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
-    return rows * units[:, None], form
+    return rows * units[:, None], entries(forms)
 
 
 def plane_forms(planes: np.ndarray) -> np.ndarray:
@@ -143,14 +142,19 @@ def fit_forms(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     length = np.linalg.norm(points, axis=2, keepdims=True)
     unit = points / np.maximum(length, 1e-300)
-    columns = [(1 if i == j else 2) * unit[..., i] * unit[..., j] for i, j in FORM_ENTRIES]
+    columns = [(1 if i == j else 2) * unit[..., i] * unit[..., j] for i, j in QUADRIC_ENTRIES]
     _u, s, vt = np.linalg.svd(np.stack(columns, axis=-1), full_matrices=False)
     return matrices(vt[:, -1]), s
 
 
-def matrices(form: np.ndarray) -> np.ndarray:
-    """Return the symmetric matrices ``(L, 4, 4)`` of ten entries each, see `FORM_ENTRIES`."""
-    out = np.zeros((len(form), 4, 4))
-    for c, (i, j) in enumerate(FORM_ENTRIES):
-        out[:, i, j] = out[:, j, i] = form[:, c]
+def entries(forms: np.ndarray) -> np.ndarray:
+    """Return ten entries each ``(L, 10)`` of symmetric matrices, in the order `QUADRIC_ENTRIES`."""
+    return np.stack([forms[:, i, j] for i, j in QUADRIC_ENTRIES], axis=-1)
+
+
+def matrices(quadrics: np.ndarray) -> np.ndarray:
+    """Return the symmetric matrices ``(L, 4, 4)`` of ten entries each, see `QUADRIC_ENTRIES`."""
+    out = np.zeros((len(quadrics), 4, 4))
+    for c, (i, j) in enumerate(QUADRIC_ENTRIES):
+        out[:, i, j] = out[:, j, i] = quadrics[:, c]
     return out

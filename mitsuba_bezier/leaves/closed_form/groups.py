@@ -8,9 +8,17 @@ import numpy as np
 
 from ...geometry import bernstein
 from ...geometry.triangles import BezierTriangles
-from ..records import DEVIATION, FORM_ENTRIES, SECTION, Leaves
+from ..records import INVERTED_KINDS, NO_APEX, ClosedFormLeaves, LeafKind
 from .affine_frames import AffineFrame
-from .fits import centre_and_size, fit_forms, matrices, relative_distance, with_apex, with_its_apex
+from .fits import (
+    centre_and_size,
+    entries,
+    fit_forms,
+    matrices,
+    relative_distance,
+    with_apex,
+    with_its_apex,
+)
 
 __all__ = ["grouped", "in_space_of", "quadric_leaves"]
 
@@ -23,9 +31,11 @@ def quadric_leaves(
     which: np.ndarray,
     shift: np.ndarray,
     rows: np.ndarray,
-    form: np.ndarray,
-) -> Leaves:
-    """Return the records of whole patches that are met through a quadric, grouped.
+    quadric: np.ndarray,
+    kind: np.ndarray | LeafKind,
+    **known: np.ndarray,
+) -> ClosedFormLeaves:
+    """Return the leaves of patches that are met through a quadric, grouped.
 
     Parameters
     ----------
@@ -37,36 +47,38 @@ def quadric_leaves(
         Origin of the records.
     rows : (L, 3, 4) or (L, 4, 4) array
         Take ``(p - shift, 1)`` to the barycentrics of the leaf, or what else finds these.
-    form : (L, FORM) array
-        The quadric and more, see `leaves`.
+    quadric : (L, 10) array
+    kind : LeafKind, or (L,) array
+    known : arrays
+        What leaves of this kind have beside: other fields of `ClosedFormLeaves`.
     """
-    k = patches.control_points.shape[1]
-    frame = np.zeros((len(which), 4, 4))
-    frame[:, : rows.shape[1]] = rows
-    leaves = Leaves(
+    count = len(which)
+    four = np.zeros((count, 4, 4))
+    four[:, : rows.shape[1]] = rows
+    eye = np.broadcast_to(np.eye(3), (count, 3, 3))
+    leaves = ClosedFormLeaves.zeros(
+        count,
         patch=which,
-        domain=np.broadcast_to(np.eye(3), (len(which), 3, 3)).copy(),
-        exact=np.ones(len(which), dtype=bool),
+        kind=np.broadcast_to(kind, count).astype(int),
         shift=shift,
-        frame=frame,
-        form=form,
-        net=np.zeros((len(which), k, 4)),
+        axes=eye.copy(),
+        quadric=quadric,
+        rows=four,
         box=_tight_boxes(patches[which]),
-        certified=np.ones(len(which), dtype=bool),
-        group=np.arange(len(which)),
-        axes=np.broadcast_to(np.eye(3), (len(which), 3, 3)).copy(),
-        span=np.zeros((len(which), 2, 3)),
+        **{"domain": eye.copy(), "corner": np.full(count, NO_APEX), **known},
     )
     return grouped(leaves, patches[which])
 
 
-def in_space_of(frame: AffineFrame, leaves: Leaves, patches: BezierTriangles) -> Leaves:
+def in_space_of(
+    frame: AffineFrame, leaves: ClosedFormLeaves, patches: BezierTriangles
+) -> ClosedFormLeaves:
     """Return leaves that were built from patches in axes of their own, for rays in space.
 
     Parameters
     ----------
     frame : AffineFrame
-    leaves : Leaves
+    leaves : ClosedFormLeaves
     patches : BezierTriangles
         Those of the frame, in space.
     """
@@ -99,7 +111,7 @@ def _tight_boxes(patches: BezierTriangles) -> np.ndarray:
 _ALIKE, _SAME = 1e-3, 5e-7
 
 #: Patches further than this from the quadric of their group, in their sizes, have another: what
-#: `DEVIATION` is at most, and three times what they may be from their own.
+#: `deviation` is at most, and three times what they may be from their own.
 _WRONG = 1e-6
 
 #: No simple fraction.
@@ -110,13 +122,13 @@ _ASIDE = 0.1234567
 _GROUP, _LARGEST_GROUP = 12, 16
 
 
-def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
+def grouped(leaves: ClosedFormLeaves, patches: BezierTriangles) -> ClosedFormLeaves:
     """Number the leaves by quadric, and give each group one quadric and one origin.
 
     A ray then meets the quadric of a whole group once. Groups of more patches than `_GROUP` says
     are cut in space.
     """
-    forms, shift = matrices(leaves.form), leaves.shift.copy()
+    forms, shift = matrices(leaves.quadric), leaves.shift.copy()
     group, distance = np.full(len(leaves), -1), np.zeros(len(leaves))
     used = 0
     classes = [np.arange(len(leaves))]
@@ -135,17 +147,17 @@ def grouped(leaves: Leaves, patches: BezierTriangles) -> Leaves:
         distance[every] = relative_distance(patches[every], forms[every], shift[every])
         classes = [part for part in tried if len(part) > 1 and distance[part].max() > _WRONG]
     leaves.group = group
-    leaves.form[:, :10] = np.stack([forms[:, i, j] for i, j in FORM_ENTRIES], axis=-1)
-    leaves.frame[:, :, 3] += np.einsum("lrc,lc->lr", leaves.frame[:, :, :3], shift - leaves.shift)
+    leaves.quadric = entries(forms)
+    leaves.rows[:, :, 3] += np.einsum("lrc,lc->lr", leaves.rows[:, :, :3], shift - leaves.shift)
     leaves.shift = shift
     leaves.span = leaves.box - shift[:, None]
     # 2: between the samples, and what the neighbour's quadric is off
-    leaves.form[:, DEVIATION] = np.minimum(2 * distance + 1e-12, _WRONG)
+    leaves.deviation = np.minimum(2 * distance + 1e-12, _WRONG)
     return leaves.select(np.argsort(group, kind="stable"))
 
 
 def _on_one_quadric(
-    leaves: Leaves, patches: BezierTriangles, members: np.ndarray
+    leaves: ClosedFormLeaves, patches: BezierTriangles, members: np.ndarray
 ) -> list[np.ndarray]:
     """Return parts of `members` that are on one quadric each, as far as their common size tells.
 
@@ -164,7 +176,7 @@ def _on_one_quadric(
     # a member that differs by more than float32 sees stays alone
     alone = np.abs(flat - mean[label]).max(axis=1) > 3e-7
     label = np.where(alone, count + np.arange(len(label)), label)
-    is_inverted = leaves.are_inverted[members]
+    is_inverted = leaves.is_one_of(INVERTED_KINDS)[members]
     inverted = np.flatnonzero(is_inverted)
     alike = [_by_label(_labels(flat[inverted] + k * _ALIKE / 2, _ALIKE)) for k in range(2)]
     for part in alike[0] + alike[1] if len(inverted) else []:
@@ -183,10 +195,10 @@ def _on_one_quadric(
 
 
 def _flat_forms(
-    leaves: Leaves, members: np.ndarray, middle: np.ndarray, scale: float
+    leaves: ClosedFormLeaves, members: np.ndarray, middle: np.ndarray, scale: float
 ) -> np.ndarray:
     """Return the quadrics as 16 numbers, of unit length, on ``(p - middle) / scale``."""
-    forms = matrices(leaves.form[members])
+    forms = matrices(leaves.quadric[members])
     # f(p - shift) as a form on (p - middle) / scale
     move = np.broadcast_to(np.eye(4), forms.shape).copy()
     move[:, :3, :3] *= scale
@@ -247,11 +259,11 @@ def _spatial_parts(members: np.ndarray, centre: np.ndarray, most: int) -> list[n
 
 
 def _common_quadric(
-    leaves: Leaves, patches: BezierTriangles, part: np.ndarray
+    leaves: ClosedFormLeaves, patches: BezierTriangles, part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the quadric, a matrix on ``(p - shift, 1)``, and the shift of a group's leaves."""
     if len(part) == 1:
-        return matrices(leaves.form[part])[0], leaves.shift[part[0]]
+        return matrices(leaves.quadric[part])[0], leaves.shift[part[0]]
     with np.errstate(invalid="ignore"):  # -inf + inf of patches that run to the horizon
         shift = (leaves.box[part, 0].min(axis=0) + leaves.box[part, 1].max(axis=0)) / 2
     shift = np.where(np.isfinite(shift), shift, leaves.shift[part].mean(axis=0))
@@ -264,13 +276,12 @@ def _common_quadric(
     if form is None:
         form = _flat_forms(leaves, part, middle, scale).mean(axis=0).reshape(4, 4)
     form = move.T @ form @ move
-    cones = part[leaves.are_cones[part]]
+    cones = part[leaves.kind[part] == LeafKind.CONE]
     if len(cones):
-        corner = (-1 - leaves.form[cones, SECTION]).astype(int)
-        rows = np.array(bernstein.corner_rows(patches.degree))[corner]
+        rows = np.array(bernstein.corner_rows(patches.degree))[leaves.corner[cones]]
         apex = patches.control_points[cones, rows]
         form = with_apex(form, (apex[:, :3] / apex[:, 3:]).mean(axis=0) - shift)
-    inverted = part[leaves.are_inverted[part]]
+    inverted = part[leaves.is_one_of(INVERTED_KINDS)[part]]
     if len(inverted):
         moved = patches.control_points[inverted].copy()
         moved[..., :3] -= moved[..., 3:] * shift

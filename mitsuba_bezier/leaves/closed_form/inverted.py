@@ -1,4 +1,4 @@
-"""Patches of any degree on any quadric, or in a plane, as leaves (see `leaves`).
+"""Find patches of any degree on any quadric, or in a plane: point inversion by Newton's method.
 
 Cylinders, cones and spheres as CAD systems write them, once their tensor-product patches are cut
 along a diagonal, are the example: the diagonal is no plane section. The ray meets the quadric in
@@ -24,7 +24,7 @@ import numpy as np
 
 from ...geometry import bernstein
 from ...geometry.triangles import BezierTriangles
-from ..records import DEVIATION, FORM_ENTRIES, INVERTED, MARGINS, SECTION, Leaves, weight_signs
+from ..records import QUADRIC_ENTRIES, ClosedFormLeaves, LeafKind, weight_signs
 from .degree_reduction import reduce_degree
 from .fits import fit_forms, in_space, local_nets, plane_forms, relative_distance, with_its_apex
 from .groups import quadric_leaves
@@ -77,13 +77,13 @@ class _Parts:
         )
 
 
-def inverted_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+def inverted_leaves(patches: BezierTriangles) -> tuple[np.ndarray, ClosedFormLeaves]:
     """Find such patches, with weights of one sign, and return ``(mask, leaves)``.
 
     Those that are elevations, as in sets of mixed degrees, are inverted at their own degree.
     """
     found = np.zeros(len(patches), dtype=bool)
-    parts = [Leaves.empty(patches.control_points.shape[1])]
+    parts = []
     left = np.flatnonzero(_on_quadrics(patches)[0])
     for degree in range(2, patches.degree + 1):
         if not len(left) or degree > _HIGHEST:
@@ -93,12 +93,12 @@ def inverted_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
             continue
         which, leaves = _of_this_degree(lower)
         if degree < patches.degree:  # or it is rounding
-            leaves.form[:, DEVIATION] += residual[leaves.patch]
+            leaves.deviation += residual[leaves.patch]
         leaves.patch = left[reducible][leaves.patch]
         found[left[reducible][which]] = True
         parts.append(leaves)
         left = left[~reducible]
-    return found, Leaves.join(parts)
+    return found, ClosedFormLeaves.join(parts)
 
 
 def _on_quadrics(patches: BezierTriangles) -> tuple[np.ndarray, ...]:
@@ -125,36 +125,45 @@ def _on_quadrics(patches: BezierTriangles) -> tuple[np.ndarray, ...]:
     return found, local[which], shift[which], size[which], forms
 
 
-def _of_this_degree(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+def _of_this_degree(patches: BezierTriangles) -> tuple[np.ndarray, ClosedFormLeaves]:
     """Do what `inverted_leaves` does, for patches that are no elevations."""
     n = patches.degree
     found, local, shift, size, forms = _on_quadrics(patches)
     which = np.flatnonzero(found)
     found[:] = False
     if not len(which):
-        return found, Leaves.empty(bernstein.size(n))
+        return found, ClosedFormLeaves.zeros()
     parts, whole = _invert(local, forms, n)
     if not whole.any():
-        return found, Leaves.empty(bernstein.size(n))
+        return found, ClosedFormLeaves.zeros()
     parts = parts.select(whole[parts.owner])
     owner = parts.owner
-    rows, form = in_space(parts.rows, forms[owner], size[owner])
-    form[:, SECTION], form[:, MARGINS] = INVERTED, parts.margins
+    rows, quadric = in_space(parts.rows, forms[owner], size[owner])
+    kind = np.where(parts.rows[:, 3].any(axis=1), LeafKind.INVERTED_APEX, LeafKind.INVERTED)
     # the parts themselves, back in space
     cut = parts.nets.copy()
     cut[..., :3] *= size[owner, None, None]
     cut[..., :3] += cut[..., 3:] * shift[owner, None]
-    leaves = quadric_leaves(BezierTriangles(cut), np.arange(len(owner)), shift[owner], rows, form)
-    leaves.net, leaves.domain = parts.fractions[leaves.patch], parts.domain[leaves.patch]
+    leaves = quadric_leaves(
+        BezierTriangles(cut),
+        np.arange(len(owner)),
+        shift[owner],
+        rows,
+        quadric,
+        kind,
+        domain=parts.domain,
+        margins=parts.margins,
+        polynomials=parts.fractions,
+    )
     leaves.patch = which[owner[leaves.patch]]
     found[which[whole]] = True
     return found, leaves
 
 
-def margin_planes(leaves: Leaves) -> np.ndarray:
+def margin_planes(leaves: ClosedFormLeaves) -> np.ndarray:
     """Return planes ``(L, 3, 4)``, as rows on ``(p - shift, 1)``, between which such leaves lie."""
-    rows = leaves.frame[:, :3]
-    return rows + leaves.form[:, MARGINS][..., None] * rows.sum(axis=1, keepdims=True)
+    rows = leaves.rows[:, :3]
+    return rows + leaves.margins[..., None] * rows.sum(axis=1, keepdims=True)
 
 
 def _may_lie_on_quadrics(local: np.ndarray, n: int) -> np.ndarray:
@@ -162,7 +171,7 @@ def _may_lie_on_quadrics(local: np.ndarray, n: int) -> np.ndarray:
     lattice = bernstein.multi_indices(3)[:, :2] / 3.0
     points = bernstein.basis(n, lattice) @ local
     points = points / np.maximum(np.linalg.norm(points, axis=2, keepdims=True), 1e-300)
-    system = np.stack([points[..., i] * points[..., j] for i, j in FORM_ENTRIES], axis=-1)
+    system = np.stack([points[..., i] * points[..., j] for i, j in QUADRIC_ENTRIES], axis=-1)
     s = np.linalg.svd(system, compute_uv=False)
     return s[:, -1] * _CONDITION < s[:, 0]
 

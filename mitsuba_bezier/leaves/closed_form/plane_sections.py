@@ -1,4 +1,4 @@
-"""Patches of any degree on an ellipsoid whose edges are plane sections (see `leaves`).
+"""Find patches of any degree on an ellipsoid whose edges are plane sections.
 
 Octants of the sphere are the example. The ray meets the quadric in closed form, and the planes
 of the edges tell whether the point is on the patch; only its parameters, of the one hit that
@@ -20,7 +20,7 @@ import numpy as np
 from ...geometry import bernstein
 from ...geometry.linear import inverses
 from ...geometry.triangles import BezierTriangles
-from ..records import SECTION, Leaves, weight_signs
+from ..records import ClosedFormLeaves, LeafKind, weight_signs
 from .fits import fit_forms, in_space, local_nets, matrices
 from .groups import quadric_leaves
 
@@ -42,7 +42,7 @@ _CHUNK = 512
 _SAME = 1e-6
 
 
-def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, ClosedFormLeaves]:
     """Find such patches and return ``(mask, leaves)``.
 
     The three planes and the quadric bound the patch alone: if the planes meet inside of the
@@ -50,7 +50,7 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     """
     n, nets = patches.degree, patches.control_points
     found = np.zeros(len(nets), dtype=bool)
-    nothing = found, Leaves.empty(bernstein.size(n))
+    nothing = found, ClosedFormLeaves.zeros()
     if n < 3:
         return nothing
     sign = weight_signs(nets)
@@ -76,15 +76,15 @@ def section_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     if not keep.any():
         return nothing
     which, shift, size = which[keep], shift[keep], size[keep]
-    found_rows, form = in_space(rows[keep], forms[keep], size)
-    form[:, SECTION] = 1.0
-    leaves = quadric_leaves(patches, which, shift, found_rows, form)
-    leaves.net = fractions[keep][np.searchsorted(which, leaves.patch)]
+    found_rows, quadric = in_space(rows[keep], forms[keep], size)
     found[which] = True
-    return found, leaves
+    kind, polynomials = LeafKind.PLANE_SECTIONS, fractions[keep]
+    return found, quadric_leaves(
+        patches, which, shift, found_rows, quadric, kind, polynomials=polynomials
+    )
 
 
-def edge_planes(leaves: Leaves) -> np.ndarray:
+def edge_planes(leaves: ClosedFormLeaves) -> np.ndarray:
     """Return planes ``(L, 3, 4)``, as rows on ``(p - shift, 1)``, of the edges of such leaves.
 
     They are 0 on an edge and 1 in the opposite corner. Each goes through three points.
@@ -99,7 +99,9 @@ def edge_planes(leaves: Leaves) -> np.ndarray:
     return planes
 
 
-def shared_map(leaves: Leaves, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def shared_map(
+    leaves: ClosedFormLeaves, planes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Return what finds the parameters of points on all such leaves alike, if they are congruent.
 
     Octants of one sphere are, and of its affine images: what `_projections` makes of a patch does
@@ -107,7 +109,7 @@ def shared_map(leaves: Leaves, planes: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
     Parameters
     ----------
-    leaves : Leaves
+    leaves : ClosedFormLeaves
     planes : (L, 3, 4) array
         Their `edge_planes`.
 
@@ -123,9 +125,9 @@ def shared_map(leaves: Leaves, planes: np.ndarray) -> tuple[np.ndarray, np.ndarr
     inverse, regular = inverses(sides)
     if not regular.all():
         return None
-    matrix = leaves.frame[:, :3] @ inverse
+    matrix = leaves.rows[:, :3] @ inverse
     matrix /= np.abs(matrix).max(axis=(1, 2), keepdims=True)
-    matrix, net = matrix.mean(axis=0), leaves.net.mean(axis=0)
+    matrix, net = matrix.mean(axis=0), leaves.polynomials.mean(axis=0)
     for first in range(0, len(leaves), _CHUNK):
         chunk = np.arange(first, min(first + _CHUNK, len(leaves)))
         if not _gives_parameters(matrix, net, leaves.select(chunk), sides[chunk]):
@@ -134,7 +136,7 @@ def shared_map(leaves: Leaves, planes: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _gives_parameters(
-    matrix: np.ndarray, net: np.ndarray, leaves: Leaves, sides: np.ndarray
+    matrix: np.ndarray, net: np.ndarray, leaves: ClosedFormLeaves, sides: np.ndarray
 ) -> bool:
     """Tell whether what `shared_map` returns is right for leaves with these sides, by samples."""
     uv = bernstein.multi_indices(6)[:, :2] / 6 - 1 / 3
@@ -144,19 +146,19 @@ def _gives_parameters(
     return bool(np.maximum(np.abs(du), np.abs(dv)).max() <= _SAME)
 
 
-def _points(leaves: Leaves, uv: np.ndarray) -> np.ndarray:
+def _points(leaves: ClosedFormLeaves, uv: np.ndarray) -> np.ndarray:
     """Return points ``(L, S, 4)``, with last coordinate one, from the leaves' shifts on.
 
     Of parameters ``(S, 2)`` from the middle on. The inverse of the projection finds them: those
     with the coordinates of a point are on a line through the centre of projection, and that is on
     the quadric.
     """
-    a, b = bernstein.multi_indices(bernstein.degree_of(leaves.net.shape[1]))[:, :2].T
-    value = (uv[:, :1] ** a * uv[:, 1:] ** b) @ leaves.net
+    a, b = bernstein.multi_indices(bernstein.degree_of(leaves.polynomials.shape[1]))[:, :2].T
+    value = (uv[:, :1] ** a * uv[:, 1:] ** b) @ leaves.polynomials
     z = (value[..., 0] + 1j * value[..., 1]) / (value[..., 2] + 1j * value[..., 3])
     z += _MIDDLE
     goal = np.stack([z.real, z.imag, 1.0 - z.real - z.imag], axis=-1)
-    rows, forms = leaves.frame[:, :3], matrices(leaves.form)
+    rows, forms = leaves.rows[:, :3], matrices(leaves.quadric)
     _u, _s, vt = np.linalg.svd(rows)
     centre = vt[:, 3]
     near = np.einsum("lcr,lsr->lsc", np.linalg.pinv(rows), goal)

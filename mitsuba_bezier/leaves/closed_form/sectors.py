@@ -1,4 +1,4 @@
-"""Sectors of cones, as leaves with a closed form (see `leaves`).
+"""Find sectors of cones.
 
 They are quadratic patches with two straight edges, between a corner ``A`` and those of an arc
 ``P, Q, R``, and no linear form gives their parameters.
@@ -17,7 +17,7 @@ import numpy as np
 from ...geometry import bernstein
 from ...geometry.linear import inverses
 from ...geometry.triangles import BezierTriangles
-from ..records import SECTION, Leaves, weight_signs
+from ..records import ClosedFormLeaves, LeafKind, weight_signs
 from .fits import in_space, local_nets
 from .groups import quadric_leaves
 
@@ -30,17 +30,17 @@ _ROUNDING = 3e-7
 _DETERMINED = 1e-3
 
 
-def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, ClosedFormLeaves]:
     """Find such patches, with ``A`` in any corner, and return ``(mask, leaves)``."""
     n, nets = patches.degree, patches.control_points
     found = np.zeros(len(nets), dtype=bool)
     sign = weight_signs(nets)
     if n != 2 or not sign.any():
-        return found, Leaves.empty(bernstein.size(n))
+        return found, ClosedFormLeaves.zeros()
     local, shift, size = local_nets(patches)
     local *= sign[:, None, None]
     rows, forms = np.zeros((2, len(nets), 4, 4))
-    mark = np.zeros(len(nets))
+    apex = np.zeros(len(nets), dtype=int)
     for corner in range(3):
         which = np.flatnonzero((sign != 0) & ~found)
         i, j = (corner + 1) % 3, (corner + 2) % 3
@@ -48,20 +48,21 @@ def sector_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
         good, *found_there = _cones(*(local[which, _row(*pair)] for pair in pairs))
         which = which[good]
         rows[which], forms[which] = (x[good] for x in found_there)
-        mark[which] = -1.0 - corner
+        apex[which] = corner
         found[which] = True
     which = np.flatnonzero(found)
     if not len(which):
-        return found, Leaves.empty(bernstein.size(n))
+        return found, ClosedFormLeaves.zeros()
     forms = forms[which] / np.abs(forms[which]).max(axis=(1, 2), keepdims=True)
-    found_rows, form = in_space(rows[which], forms, size[which])
-    form[:, SECTION] = mark[which]
-    return found, quadric_leaves(patches, which, shift[which], found_rows, form)
+    found_rows, quadric = in_space(rows[which], forms, size[which])
+    return found, quadric_leaves(
+        patches, which, shift[which], found_rows, quadric, LeafKind.CONE, corner=apex[which]
+    )
 
 
-def cone_planes(leaves: Leaves) -> np.ndarray:
+def cone_planes(leaves: ClosedFormLeaves) -> np.ndarray:
     """Return the planes that bound sectors of cones, rows ``(L, 3, 4)`` on ``(p - shift, 1)``."""
-    b0, b1, b2, total = leaves.frame.transpose(1, 0, 2)
+    b0, b1, b2, total = leaves.rows.transpose(1, 0, 2)
     return np.stack([b1, b0 + b2, total - b0 - b1 - b2], axis=1)
 
 
@@ -94,7 +95,7 @@ def _product(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _cones(
     a: np.ndarray, p: np.ndarray, q: np.ndarray, r: np.ndarray, ap: np.ndarray, ar: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Tell which are such sectors, and return rows and forms in units of the nets."""
+    """Return a mask of such sectors, and rows and forms in units of the nets."""
     apex = (a + ap + ar) / 3
     good, rows = _coordinates(np.stack([p, q, r, apex], axis=1))
     good &= _near(a, apex) & _near(ap, apex) & _near(ar, apex)

@@ -1,4 +1,4 @@
-"""Patches whose intersections have a closed form (see `leaves`), grouped by quadric."""
+"""Find patches whose inverse is linear: stereographic projections and planar triangles."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 from ...geometry import bernstein
 from ...geometry.linear import inverses
 from ...geometry.triangles import BezierTriangles
-from ..records import LEAST, Leaves
+from ..records import ClosedFormLeaves, LeafKind
 from .fits import in_space, local_nets, plane_forms
 from .groups import quadric_leaves
 
-__all__ = ["exact_leaves"]
+__all__ = ["linear_leaves"]
 
 
-def exact_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
+def linear_leaves(patches: BezierTriangles) -> tuple[np.ndarray, ClosedFormLeaves]:
     """Find patches with a linear inverse and return ``(mask, leaves)``.
 
     For a quadratic patch ``b(u)`` we look for rows ``m_0, m_1, m_2`` and a linear form ``l``
@@ -27,18 +27,19 @@ def exact_leaves(patches: BezierTriangles) -> tuple[np.ndarray, Leaves]:
     plane times the plane at infinity.
     """
     n, nets = patches.degree, patches.control_points
-    k = bernstein.size(n)
     none = np.zeros(len(nets), dtype=bool)
     if n > 2:
-        return none, Leaves.empty(k)
+        return none, ClosedFormLeaves.zeros()
     local, shift, size = local_nets(patches)
     rows, forms, found = (_planar_inverse if n == 1 else _stereographic_inverse)(local)
     keep = np.flatnonzero(found)
     if not len(keep):
-        return none, Leaves.empty(k)
-    rows, form = in_space(rows[keep], forms[keep], size[keep])
-    form[:, LEAST] = _least_sum(rows, shift[keep], nets[keep], n)
-    return found, quadric_leaves(patches, keep, shift[keep], rows, form)
+        return none, ClosedFormLeaves.zeros()
+    rows, quadric = in_space(rows[keep], forms[keep], size[keep])
+    least = _least_sum(rows, shift[keep], nets[keep], n)
+    return found, quadric_leaves(
+        patches, keep, shift[keep], rows, quadric, LeafKind.LINEAR, least_sum=least
+    )
 
 
 def _stereographic_inverse(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

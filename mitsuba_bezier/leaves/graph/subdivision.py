@@ -1,4 +1,4 @@
-"""Subdivision of patches into graph leaves, with charts and bounds (see `leaves`)."""
+"""Subdivide patches into graph leaves, with charts and bounds."""
 
 from __future__ import annotations
 
@@ -10,16 +10,7 @@ import numpy as np
 from ...geometry import bernstein
 from ...geometry.linear import inverses
 from ...geometry.triangles import BezierTriangles
-from ..records import (
-    FORM,
-    INWARD,
-    OUTWARD,
-    LeafSettings,
-    Leaves,
-    pack_bending,
-    round_reach,
-    weight_signs,
-)
+from ..records import BENDING_LIMIT, GraphLeaves, LeafSettings, round_reach, weight_signs
 from .bounds import leaf_bounds
 from .collapsed_edges import collapsed_edge, fan, strips
 from .cover import edge_reach
@@ -27,7 +18,7 @@ from .cover import edge_reach
 __all__ = ["subdivide"]
 
 
-def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> Iterator[Leaves]:
+def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> Iterator[GraphLeaves]:
     """Yield the leaves of one chunk of patches, level by level.
 
     Parameters
@@ -166,7 +157,7 @@ def _waiting(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 def _crumbs(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings, corner: int
-) -> Leaves:
+) -> GraphLeaves:
     """Return planar leaves in place of those that cannot be made good.
 
     Each is cut into four planar triangles through its own points; where a patch went over its
@@ -286,7 +277,7 @@ _CHUNK = 4096
 
 def _graph_leaves(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
-) -> tuple[Leaves, np.ndarray]:
+) -> tuple[GraphLeaves, np.ndarray]:
     """Fit a chart to each net and tell which are good leaves."""
     parts = [
         _fit_charts(nets[c], domain[c], patch[c], settings)
@@ -294,12 +285,12 @@ def _graph_leaves(
     ]
     if len(parts) == 1:
         return parts[0]
-    return Leaves.join([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+    return GraphLeaves.join([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
 def _fit_charts(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
-) -> tuple[Leaves, np.ndarray]:
+) -> tuple[GraphLeaves, np.ndarray]:
     n = bernstein.degree_of(nets.shape[1])
     nets, moebius, finite = _normalise_weights(nets, n)
     shift, frame = _charts(nets, finite, n)
@@ -317,7 +308,6 @@ def _fit_charts(
     margin = reach.max(axis=1)
     # the kernel has but one number for projective charts
     reach[~finite[rows]] = margin[~finite[rows], None]
-    form = np.zeros((len(nets), FORM))
     good = np.zeros(len(nets), dtype=bool)
     bounds = leaf_bounds(chart[rows], reach, inward, settings.lateral)
     good[rows] = (
@@ -326,34 +316,41 @@ def _fit_charts(
         & (bounds.remainder <= settings.remainder)
         & (bounds.height <= settings.height)
     )
-    form[rows, :3], form[rows, 7:13] = bounds.quadratics[:, :3], bounds.quadratics[:, 3:]
+    quadratic, start = bounds.quadratics[:, :3], bounds.quadratics[:, 3:].reshape(-1, 2, 3)
     # the slope of the quadratic takes what is off along the chart to a height: its gradient is at
     # most 2 sqrt(2) times the sum of its coefficients over the unit triangle, some more beyond it
     with np.errstate(invalid="ignore"):  # an infinite margin, where nothing is proved
-        bends = 1 + 3 * (1 + 3 * margin) * np.abs(bounds.quadratics[:, :3]).sum(axis=1)
-    form[rows, 3] = bounds.remainder + bends * rounding
-    form[rows, 4], form[rows, 6] = bounds.variation, margin
-    form[rows, OUTWARD], form[rows, INWARD] = reach, inward
-    form[rows, 5] = pack_bending(bounds.bending, bounds.size)
-    form[~np.isfinite(form).all(axis=1)] = 0.0
+        bends = 1 + 3 * (1 + 3 * margin) * np.abs(quadratic).sum(axis=1)
+    proved = {
+        "quadratic": quadratic,
+        "start": start,
+        "remainder": bounds.remainder + bends * rounding,
+        "variation": bounds.variation,
+        "bending": np.minimum(bounds.bending, BENDING_LIMIT),
+        "size": bounds.size,
+        "outward": reach,
+        "inward": inward,
+    }
+    usable = np.ones(len(rows), dtype=bool)
+    for values in proved.values():
+        usable &= np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    for name, values in proved.items():
+        proved[name] = np.zeros((len(nets), *values.shape[1:]), values.dtype)
+        proved[name][rows[usable]] = values[usable]
     deviation = chart.copy()
     ijk = bernstein.multi_indices(n)
     deviation[..., 0] -= ijk[:, 0] / n
     deviation[..., 1] -= ijk[:, 1] / n
     deviation[..., 3] -= 1.0
-    leaves = Leaves(
+    leaves = GraphLeaves(
         patch=patch,
         domain=domain * moebius[:, None, :],
-        exact=np.zeros(len(nets), dtype=bool),
         shift=shift,
-        frame=frame,
-        form=form,
+        chart=frame,
         net=bernstein.monomial_matrix(n) @ deviation,
         box=BezierTriangles(nets).hulls(),
         certified=good.copy(),
-        group=np.full(len(nets), -1),
-        axes=np.broadcast_to(np.eye(3), (len(nets), 3, 3)),
-        span=np.zeros((len(nets), 2, 3)),
+        **proved,
     )
     return leaves, good
 
