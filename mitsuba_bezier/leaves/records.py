@@ -354,9 +354,12 @@ class Leaves:
         return barycentrics[:, :2].transpose(0, 2, 1)
 
     def select(self, mask: np.ndarray) -> Leaves:
-        """Return the leaves chosen by a mask."""
-        count = len(self.graph)
-        return Leaves(self.graph.select(mask[:count]), self.closed_form.select(mask[count:]))
+        """Return the leaves chosen by a mask or an index array; graphs come first."""
+        chosen, count = np.arange(len(self))[mask], len(self.graph)
+        graphs = chosen < count
+        return Leaves(
+            self.graph.select(chosen[graphs]), self.closed_form.select(chosen[~graphs] - count)
+        )
 
     def of_patches(self, numbers: np.ndarray) -> Leaves:
         """Return the same leaves, of the patches `numbers` instead of 0, 1, ..."""

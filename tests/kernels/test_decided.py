@@ -171,7 +171,7 @@ def test_most_hits_take_no_march(monkeypatch):
 
 @pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES.keys())
 def test_any_hit_is_where_there_is_a_closest_one(surface):
-    leaves = build_leaves(surface, GENERAL)
+    leaves = build_leaves(surface, GENERAL).graph
     _leaf, o, d, far = rays_at_leaves(leaves, 100_000, 6, 0.3)
     end = Float(far * np.random.default_rng(7).choice([0.7, 1.3, np.inf], len(far)))
     structure = built(leaves)

@@ -181,12 +181,13 @@ def test_cells_tell_all_members_that_have_a_point():
     leaves = build_leaves(patches)
     assert leaves.kinds <= INVERTED_KINDS
     structure = build_structure(leaves, Float)
-    tables = np.array(structure.cells).reshape(-1, quadric_records.CELLS)
-    groups = np.array(structure.groups).reshape(-1, quadric_records.GROUP)
+    tables = np.array(structure.cells).reshape(-1, quadric_records.CELLS.size)
+    groups = np.array(structure.groups).reshape(-1, quadric_records.GROUP.size)
     assert len(tables) == (groups[:, 14] >= 32).sum() >= 2
     # members are as the leaves are: sorted by group
     uv = np.random.default_rng(5).dirichlet(np.ones(3), 3000)[:, :2]
     members = []
+    leaves = leaves.closed_form
     for leaf, group in enumerate(leaves.group):
         first, number = int(groups[group, 13]), int(groups[group, 14])
         number, count = number // 32, number % 32

@@ -27,15 +27,15 @@ def test_small_shells_beside_something_large(cover, radius, ratio):
     large = ball(cover, 1.0, np.full(3, -1.0))
     small = [ball(cover, r, CENTRE) for r in (radius, ratio * radius)]
     patches = mb.BezierTriangles.join([*small, large])
-    leaves = build_leaves(patches)
-    assert leaves.is_closed_form.all() and len(leaves) == len(patches)
-    leaves = leaves.closed_form
+    every = build_leaves(patches)
+    leaves = every.closed_form
+    assert len(every) == len(leaves) == len(patches)
     sphere = leaves.patch // len(small[0])
     for group in np.unique(leaves.group):
         assert len(np.unique(sphere[leaves.group == group])) == 1
     # float64, over what is left of a centre near one: 1e-16 / 1e-4 twice, as it is squared
     assert leaves.deviation.max() < 1e-9
-    structure = build_structure(leaves, Float)
+    structure = build_structure(every, Float)
     o = [Float(x) for x in CENTRE]
     inside = intersect(structure, o, [Float(0), Float(0.6), Float(0.8)], Float(np.inf))
     assert inside.t[0] == pytest.approx(radius, rel=1e-6)

@@ -11,7 +11,7 @@ from leaf_cases import otherwise
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
-from mitsuba_bezier.kernels import quadric_records, structure
+from mitsuba_bezier.kernels import quadric_records, records, structure
 from mitsuba_bezier.kernels.closed_form import members
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
@@ -80,7 +80,7 @@ def test_fractions_give_the_stereographic_coordinates(kind):
 @pytest.mark.parametrize("kind", OCTANTS)
 def test_planes_are_those_of_the_edges(kind):
     patches = turned(OCTANTS[kind][0])
-    leaves = build_leaves(patches)
+    leaves = build_leaves(patches).closed_form
     planes = edge_planes(leaves)
     s = np.linspace(0.0, 1.0, 9)
     edges = [np.stack(x, axis=1) for x in ((0 * s, s), (s, 0 * s), (s, 1 - s))]
@@ -98,7 +98,7 @@ def test_congruent_patches_share_a_map(kind, single):
     patches = turned(OCTANTS[kind][0])
     if single:  # as nets come through Mitsuba's tensors
         patches = mb.BezierTriangles(patches.control_points.astype(np.float32).astype(float))
-    leaves = build_leaves(patches)
+    leaves = build_leaves(patches).closed_form
     shared = shared_map(leaves, edge_planes(leaves))
     assert shared is not None
     matrix, net = shared
@@ -153,7 +153,7 @@ def test_tables_change_the_order_only(cover, part, monkeypatch):
     o, d = rays(50_000, 5)
     found = hits(build_leaves(patches), o, d)
     for module in (quadric_records, members):
-        monkeypatch.setattr(module, "FEW", 13)
+        monkeypatch.setattr(module, "MIN_GROUP_FOR_TABLE", 13)
     plain = hits(build_leaves(patches), o, d)
     assert found[0].sum() > 1000 and (found[0] == plain[0]).all()
     assert (found[1] == plain[1]).all()
@@ -168,14 +168,14 @@ def test_tables_tell_most_members(cover, monkeypatch):
     built = structure.build_structure(leaves, llvm.Float)
     reads = dr.zeros(llvm.UInt32, 1)
     dr.eval(reads)
-    plain = members.gather_packets
+    plain = records.gather_packets
 
     def counted(buffer, index, count, active=True):
         if buffer.index == built.members.index:
             dr.scatter_add(reads, llvm.UInt32(1), llvm.UInt32(0), active)
         return plain(buffer, index, count, active)
 
-    monkeypatch.setattr(members, "gather_packets", counted)
+    monkeypatch.setattr(records, "gather_packets", counted)
     o, d = rays(50_000, 6)
     columns = [[llvm.Float(np.ascontiguousarray(x[:, k])) for k in range(3)] for x in (o, d)]
     hit = intersect(built, *columns, llvm.Float(dr.inf))

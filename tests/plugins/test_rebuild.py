@@ -25,12 +25,7 @@ def moved(patches: mb.BezierTriangles, numbers: list[int], seed: int) -> mb.Bezi
 def in_order(leaves: Leaves) -> Leaves:
     """Sort leaves by patch and place."""
     middle = leaves.corners().mean(axis=1)
-    order = np.lexsort((*middle.T.round(9), leaves.patch))
-    count = len(leaves.graph)
-    return Leaves(
-        leaves.graph.select(order[order < count]),
-        leaves.closed_form.select(order[order >= count] - count),
-    )
+    return leaves.select(np.lexsort((*middle.T.round(9), leaves.patch)))
 
 
 MIXED = mb.BezierTriangles(
