@@ -93,4 +93,10 @@ class Record:
         `through` is the last field that is wanted, if not all are.
         """
         count = self._end[through or next(reversed(self.fields))]
-        return self.read(gather_packets(buffer, index, count, active))
+        wanted, packets = -(-count // 8), self.size // 8
+        if wanted == packets:
+            return self.read(gather_packets(buffer, index, count, active))
+        values = []
+        for p in range(wanted):
+            values += gather_packets(buffer, index * packets + p, 8, active)
+        return self.read(values[:count])
