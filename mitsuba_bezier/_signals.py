@@ -35,6 +35,9 @@ _by: int | None = None
 
 def begin_if_command() -> None:
     """Begin if this process is the program, which has only just begun to import the package."""
+    started = sys.modules.get("multiprocessing.process")
+    if started is not None and started.parent_process() is not None:
+        return  # a worker of the program, which has its arguments
     name = os.path.basename(sys.argv[0]) if sys.argv else ""
     program = name.removesuffix(".exe").removesuffix("-script.py") == "mitsuba-bezier"
     # as long as Python looks for the module, "-m" stands there

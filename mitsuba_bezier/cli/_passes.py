@@ -124,6 +124,10 @@ class Shot:
         # ZIP halves a picture, roughly; no render has been seen to become an eighth
         check_target(self.output, "--output", width * height * 3 * (2 if self.half else 4) // 8)
         check_target(self.sums, "--output")
+        if self.args.workers or self.args.scheduler:
+            from ._many import check_dask
+
+            check_dask()
         if self.args.denoise:
             check_target(self.denoised, "--output")
             check_denoiser()
@@ -145,7 +149,8 @@ class Shot:
             **self.identity,
             "spp": total.spp,
             "passes": total.passes,
-            "seeds": " ".join(map(str, total.seeds)),
+            # in the order of the plan, whatever came first
+            "seeds": " ".join(str(pass_seed(self.args.seed, i)) for i in sorted(picture.done)),
             "stopped_by": stopped_by,
             "render_seconds": picture.seconds,
             **machine(),
@@ -257,28 +262,89 @@ def render(shot: Shot, say: Callable[[str], None]) -> None:
         _signals.at_end(stop),
         keeper.at_end(),
     ):
-        for index in shot.indices:
-            if index in picture.done:
-                continue
-            if picture.done and goal.reached(picture, plan[index]):
-                break
-            started = time.perf_counter()
-            rendered = _rendering.render_pass(
-                shot.loaded.scene,
-                shot.sensor,
-                shot.integrator,
-                plan[index],
-                pass_seed(args.seed, index),
-            )
-            picture.add(index, rendered)
-            seconds = time.perf_counter() - started
-            picture.seconds += seconds
-            if index != shot.indices[0]:
-                goal.measured(plan[index], seconds)
-            report()
-            keeper.offer(picture, last=index == shot.indices[-1])
+        if args.workers or args.scheduler:
+            _render_by_many(shot, picture, goal, report, keeper, say)
+        else:
+            _render_here(shot, picture, goal, report, keeper)
         stop()
         _finish(shot, picture, goal, before, say)
+
+
+def _render_here(
+    shot: Shot, picture: Picture, goal: Goal, report: Callable[[], None], keeper: Keeper
+) -> None:
+    """Render in this process."""
+    plan = shot.plan
+    for index in shot.indices:
+        if index in picture.done:
+            continue
+        if picture.done and goal.reached(picture, plan[index]):
+            break
+        started = time.perf_counter()
+        rendered = _rendering.render_pass(
+            shot.loaded.scene,
+            shot.sensor,
+            shot.integrator,
+            plan[index],
+            pass_seed(shot.args.seed, index),
+        )
+        picture.add(index, rendered)
+        seconds = time.perf_counter() - started
+        picture.seconds += seconds
+        if index != shot.indices[0]:
+            goal.measured(plan[index], seconds)
+        report()
+        keeper.offer(picture, last=index == shot.indices[-1])
+
+
+def _render_by_many(
+    shot: Shot,
+    picture: Picture,
+    goal: Goal,
+    report: Callable[[], None],
+    keeper: Keeper,
+    say: Callable[[str], None],
+) -> None:
+    """Render by the workers of dask."""
+    from ..rendering.farm import Farm
+    from . import _many, _worker
+
+    def note(line: str) -> None:
+        say(f"mitsuba-bezier: {printable(line)}")
+
+    last = shot.indices[-1]
+    before = time.perf_counter()
+    had = picture.seconds
+    with _many.connected(shot.args) as client:
+        job = _many.prepare(client, shot, note)
+        farm = Farm(
+            client,
+            _worker.work,
+            job,
+            picture,
+            shot.args.seed,
+            job.identity,
+            (shot.size[1], shot.size[0]),
+            note,
+        )
+
+        def progress() -> None:
+            picture.seconds = had + time.perf_counter() - before
+            report()
+            keeper.offer(picture, last=len(picture.done) == len(shot.indices))
+
+        def stop(index: int) -> bool:
+            workers = max(1, len(farm.shares))
+            if farm.seconds_a_pass:
+                # by all of them together
+                goal.measured(shot.plan[index], farm.seconds_a_pass / workers)
+            return goal.reached(picture, shot.plan[index])
+
+        if picture.done and shot.indices and goal.reached(picture, shot.plan[last]):
+            return
+        farm.run(shot.indices, stop, progress)
+    shares = ", ".join(f"{name} {count}" for name, count in sorted(farm.shares.items()))
+    note(f"passes by worker: {shares}")
 
 
 def _begin(shot: Shot, say: Callable[[str], None]) -> Picture:

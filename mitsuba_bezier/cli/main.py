@@ -19,7 +19,7 @@ from ..errors import BezierError
 from . import _streams
 from ._limits import limits
 
-__all__ = ["COMMANDS", "main"]
+__all__ = ["COMMANDS", "main", "parse"]
 
 PROGRAM = "mitsuba-bezier"
 
@@ -30,6 +30,7 @@ COMMANDS = (
     "compare",
     "accept",
     "merge",
+    "plan",
     "convert",
     "info",
     "conformance",
@@ -100,9 +101,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _run(words: list[str]) -> int:
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """Return the arguments of a command line as commands get them."""
     args = _parser(words).parse_args(words)
     args.argv = [PROGRAM, *words]
+    return args
+
+
+def _run(words: list[str]) -> int:
+    args = parse(words)
     try:
         _runtime.check_folder()
         with limits(args):

@@ -17,7 +17,7 @@ from ._flags import duration, noise_level, seconds
 from ._limits import add_limits
 from ._streams import printable
 
-__all__ = ["add_parser", "run", "stops"]
+__all__ = ["add_parser", "chosen_sensor", "load_input", "run", "set_variant", "stops"]
 
 DEFAULT_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
@@ -28,6 +28,7 @@ MAX_SPP = 10_000_000
 MAX_INT = (1 << 31) - 1
 # of all processors that there are; each has a stack
 MAX_THREADS = 1024
+MAX_WORKERS = 1024
 # the range of float32, half of it
 MAX_STOPS = 64
 
@@ -172,6 +173,18 @@ def add_parser(subparsers: Any) -> None:
         help="also write OUT.denoised.exr, a guess of the picture without noise, which the preview "
         "then shows; renders with the filter 'box', which that needs",
     )
+    many = parser.add_mutually_exclusive_group()
+    many.add_argument(
+        "--workers",
+        metavar="N",
+        type=_integer(1, MAX_WORKERS),
+        help="render by so many processes of this machine, which share its threads",
+    )
+    many.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="render by the workers of a dask scheduler, such as tcp://host:8786",
+    )
     add("--json", metavar="FILE", help="write what was reached; '-' for standard output")
     add("--exposure", metavar="EV", type=stops, default=0.0, help="stops, for the preview (0)")
     add(
@@ -208,7 +221,7 @@ def run(args: argparse.Namespace) -> int:
     beside = scene_file.with_suffix(".exr") if args.output is None else args.output
     output = _images.check_output(beside)
 
-    variant = _set_variant(args.mode)
+    variant = set_variant(args.mode)
     import drjit as dr
     import mitsuba as mi
 
@@ -220,21 +233,26 @@ def run(args: argparse.Namespace) -> int:
             expected = "a number of threads that this system starts"
             raise BezierError.expected("--threads", expected, f"{args.threads} ({error})") from None
 
-    if model:
-        loaded = _model.load(args)
-    else:
-        defines = dict(args.define)
-        loaded = _scene.load(
-            scene_file, variant, defines, args.append, args.allow_plugins, args.denoise
-        )
+    loaded = load_input(args, variant)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {printable(note)}")
-    sensor = _sensor(loaded.scene, args.sensor)
+    sensor = chosen_sensor(loaded.scene, args.sensor)
     _passes.render(_passes.Shot(args, loaded, sensor, variant, output), say)
     return 0
 
 
-def _set_variant(wanted: str | None) -> str:
+def load_input(args: argparse.Namespace, variant: str) -> Any:
+    """Return the scene of the command line, or one around its models, see `_scene.load`."""
+    from . import _scene
+
+    if _model.is_model(args.scene):
+        return _model.load(args)
+    return _scene.load(
+        Path(args.scene), variant, dict(args.define), args.append, args.allow_plugins, args.denoise
+    )
+
+
+def set_variant(wanted: str | None) -> str:
     """Set the variant asked for, or the first default that starts, and return it."""
     mi = _runtime.import_mitsuba()
     if wanted is None:
@@ -258,7 +276,8 @@ def _log_level(mi: Any, args: argparse.Namespace) -> Any:
     return levels[min(args.verbose, 3)]
 
 
-def _sensor(scene: Any, index: int) -> Any:
+def chosen_sensor(scene: Any, index: int) -> Any:
+    """Return a sensor of a scene."""
     sensors = scene.sensors()
     if index >= len(sensors):
         expected = f"a number below {len(sensors)}" if sensors else "a scene with a sensor"

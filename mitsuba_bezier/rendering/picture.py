@@ -11,7 +11,7 @@ import copy
 import hashlib
 import os
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from .plan import Plan, pass_seed
 __all__ = [
     "Picture",
     "beside",
+    "checksum",
     "encode_sums",
     "load_sums",
     "machine",
@@ -91,14 +92,22 @@ class Picture:
             self.cut.add(*values)
         self.done.add(index)
 
-    def add_sums(self, indices: Iterable[int], image: Image) -> None:
-        """Add whole passes that come as sums, see `encode_sums`."""
-        sums, weight = split_sums(image)
-        spp, passes = (int(image.attributes[key]) for key in ("spp", "passes"))
-        seeds = [int(word) for word in str(image.attributes["seeds"]).split()]
-        for total in (self.whole, self.cut):
-            if total is not None:
-                total.add_sums(sums, weight, spp, seeds, passes)
+    def add_sums(
+        self,
+        indices: Iterable[int],
+        channels: Mapping[str, np.ndarray],
+        spp: int,
+        seeds: Sequence[int],
+    ) -> None:
+        """Add passes that come as sums, see `Accumulator.sums`: whole ones, or the cut one."""
+        indices = list(indices)
+        sums, weight = split_sums(channels)
+        if any(map(self.plan.is_cut, indices)):
+            self.cut = self.whole.copy()
+        else:
+            self.whole.add_sums(sums, weight, spp, seeds, len(indices))
+        if self.cut is not None:
+            self.cut.add_sums(sums, weight, spp, seeds, len(indices))
         self.done.update(indices)
 
     def copy(self) -> Picture:
@@ -174,7 +183,7 @@ def encode_sums(
         "seeds": " ".join(map(str, picture.whole.seeds)),
         "done": ranges(picture.whole_done),
         "seconds": str(picture.seconds),
-        "checksum": str(_checksum(sums)),
+        "checksum": str(checksum(sums)),
     }
     # noise hardly gets smaller by ZIP, and this is written again and again
     return encode_exr(sums, attributes, offset, full_size, compress=False)
@@ -216,19 +225,22 @@ def load_sums(
     try:
         done = _numbers(str(found["done"]))
         picture = Picture(plan, seconds=float(found["seconds"]))
-        whole = found["checksum"] == str(_checksum(image.channels))
+        whole = found["checksum"] == str(checksum(image.channels))
         count = int(found["passes"])
         if not whole or len(done) != count:
             raise ValueError
-        picture.add_sums(done, image)
+        seeds = [int(word) for word in str(found["seeds"]).split()]
+        if done and (max(done) >= len(plan) or any(plan.is_cut(i) for i in done)):
+            raise FileFormatError.expected(
+                "--spp", f"at least the {found['spp']} that are in {name}{remedy}", plan.spp
+            )
+        picture.add_sums(done, image.channels, int(found["spp"]), seeds)
+    except FileFormatError:
+        raise
     except (KeyError, ValueError):
         raise FileFormatError.expected(
             name, f"the sums of whole passes{remedy}", "a damaged file"
         ) from None
-    if done and (max(done) >= len(plan) or any(plan.is_cut(i) for i in done)):
-        raise FileFormatError.expected(
-            "--spp", f"at least the {found['spp']} that are in {name}{remedy}", plan.spp
-        )
     other = [
         f"{key.replace('_', ' ')} {found.get(key)}, now {value}"
         for key, value in machine().items()
@@ -287,7 +299,8 @@ def _numbers(text: str) -> list[int]:
     return found
 
 
-def _checksum(channels: Mapping[str, np.ndarray]) -> int:
+def checksum(channels: Mapping[str, np.ndarray]) -> int:
+    """Return a number of all bytes of channels."""
     total = 0
     for name in sorted(channels):
         total = zlib.crc32(np.ascontiguousarray(channels[name]).data, total)

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from .._files import is_same, refuse_inputs
+from .._files import refuse_inputs
 from ..errors import BezierError, FileFormatError
 from .images import Image, read_image, refuse_denoised, write_exr
 
@@ -110,6 +110,7 @@ class Accumulator:
     def __init__(self, variance: bool = False, squares: bool = False) -> None:
         self.spp = 0
         self.passes = 0
+        self._known: set[int] = set()
         self._square: _ExactSum | None = None
         self._squares = squares
         self.seeds: list[int] = []
@@ -121,7 +122,7 @@ class Accumulator:
     def copy(self) -> Accumulator:
         """Return a copy that what is added later does not change; no pixel is copied."""
         other = copy.copy(self)
-        other.seeds = list(self.seeds)
+        other.seeds, other._known = list(self.seeds), set(self._known)
         other._sums = {name: total.copy() for name, total in self._sums.items()}
         other._weight, other._square = copy.copy(self._weight), copy.copy(self._square)
         other._spread = None if self._spread is None else dict(self._spread)
@@ -164,6 +165,7 @@ class Accumulator:
         self.passes += 1
         self.spp += spp
         self.seeds += seeds
+        self._known.update(seeds)
 
     def add_sums(
         self,
@@ -191,6 +193,7 @@ class Accumulator:
         self.passes += passes
         self.spp += spp
         self.seeds += seeds
+        self._known.update(seeds)
 
     def _admit(self, channels: Mapping[str, np.ndarray], spp: int, seeds: Sequence[int]) -> None:
         shapes = {np.shape(pixels) for pixels in channels.values()}
@@ -211,7 +214,7 @@ class Accumulator:
             raise BezierError.expected("size", "{1} x {0}".format(*expected), f"{sorted(shapes)}")
         if not 0 < spp < 2**28:  # beyond, spp times a float32 would not be exact
             raise BezierError.expected("spp", "a number of samples from 1 to 2^28", spp)
-        again = sorted(set(self.seeds) & set(seeds))
+        again = sorted(self._known.intersection(seeds))
         if again:
             raise BezierError.expected(
                 "seed", "seeds not merged before", ", ".join(map(str, again))
@@ -354,7 +357,7 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
         raise FileFormatError.expected(
             name, "finite pixels (or --allow-nan)", f"{np.count_nonzero(bad)} with NaN or infinity"
         )
-    sums, weight = split_sums(image)
+    sums, weight = split_sums(image.channels)
     try:
         with np.errstate(invalid="ignore"):
             if weight:
@@ -368,12 +371,14 @@ def add_file(total: Accumulator, image: Image, allow_nan: bool = False) -> bool:
     return passes == 1 and constant and kinds == {np.dtype(np.float32)}
 
 
-def split_sums(image: Image) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray]]:
-    """Return the sums that an image holds, by channel, and those of the weight; or nothing."""
+def split_sums(
+    channels: Mapping[str, np.ndarray],
+) -> tuple[dict[str, list[np.ndarray]], list[np.ndarray]]:
+    """Return the sums among channels, by what they are of, and those of the weight; or nothing."""
     sums: dict[str, list[np.ndarray]] = {}
-    for channel in sorted(image.channels):
+    for channel in sorted(channels):
         if match := _SUM.fullmatch(channel):
-            sums.setdefault(match.group(1), []).append(image.channels[channel])
+            sums.setdefault(match.group(1), []).append(channels[channel])
     return sums, sums.pop(_WEIGHT, [])
 
 
@@ -488,10 +493,15 @@ def merge_files(
     """
     parts = list(parts)
     refuse_inputs(output, parts, "--output")
-    for index, path in enumerate(parts):
-        for other in parts[:index]:
-            if is_same(path, other):
-                raise FileFormatError.expected("PART", "each file once", f"{path} twice")
+    there: set[tuple[int, int]] = set()
+    for path in parts:
+        try:
+            found = os.stat(path)
+        except OSError:
+            continue  # which is told when it is read
+        if (found.st_dev, found.st_ino) in there:
+            raise FileFormatError.expected("PART", "each file once", f"{path} twice")
+        there.add((found.st_dev, found.st_ino))
     total = Accumulator(squares=True)
     plans: dict[tuple[str, ...], set[int]] = {}
     rounded: list[str] = []

@@ -1,0 +1,117 @@
+"""What a worker of dask does: hold the files of a scene, load it once, render parts of it."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from .. import _runtime
+from ..errors import BezierError, FileFormatError
+from ..rendering.bundle import Bundle
+from ..rendering.parts import Rendered, render_part
+from ..rendering.passes import Pass, render_pass
+from ..rendering.picture import machine
+from ..rendering.plan import Plan
+
+__all__ = ["Job", "probe", "receive", "work"]
+
+#: One part at a time: a film belongs to one render.
+_lock = threading.Lock()
+_bundles: dict[str, Bundle] = {}
+_loaded: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all parts of a render share.
+
+    Attributes
+    ----------
+    digest : str
+        Of the bundle.
+    args : argparse.Namespace
+        Of ``render``.
+    variant : str
+        Of Mitsuba.
+    plan : Plan
+        All passes.
+    identity : dict
+        Which render it is.
+    threads : int or None
+        Of Dr.Jit; None for all.
+    """
+
+    digest: str
+    args: argparse.Namespace
+    variant: str
+    plan: Plan
+    identity: dict[str, Any]
+    threads: int | None
+
+
+def probe(variant: str) -> dict[str, str]:
+    """Return versions and processor of this machine; the variant must start."""
+    _runtime.check(variant)
+    return machine()
+
+
+def receive(bundle: Bundle) -> None:
+    """Take the files of a scene."""
+    with suppress(ValueError):  # of other threads than the main one
+        # Ctrl-C is for the command, which ends its workers
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    bundle.unpack()
+    _bundles[bundle.digest] = bundle
+
+
+def work(job: Job, indices: Sequence[int]) -> Rendered:
+    """Render a part."""
+    with _lock:
+        mi = _runtime.import_mitsuba()
+        mi.set_variant(job.variant)
+        scene, sensor, integrator = _scene_of(job)
+
+        def render(spp: int, seed: int) -> Pass:
+            return render_pass(scene, sensor, integrator, spp, seed)
+
+        return render_part(job.plan, indices, job.args.seed, job.identity, render)
+
+
+def _scene_of(job: Job) -> tuple[Any, Any, Any]:
+    """Return scene, sensor and integrator, which are loaded once."""
+    if job.digest not in _loaded:
+        from . import render
+
+        if job.digest not in _bundles:
+            raise _of_machine(FileFormatError.expected("bundle", "the scene's files", "none"))
+        if job.threads:
+            import drjit as dr
+
+            dr.set_thread_count(job.threads)
+        bundle = _bundles[job.digest]
+        root = bundle.unpack()
+        args = argparse.Namespace(**vars(job.args))
+        args.scene, *args.more = (str(root / name) for name in bundle.inputs)
+        args.append = [str(root / name) for name in bundle.folders]
+        loaded = render.load_input(args, job.variant)
+        if loaded.digest != job.identity["scene"]:
+            raise FileFormatError.expected(
+                "scene",
+                "names of files that are relative to it, for other machines",
+                "files that they do not find",
+            )
+        sensor = loaded.scene.sensors()[args.sensor]
+        _loaded.clear()
+        _loaded[job.digest] = loaded.scene, sensor, loaded.integrator
+    found: tuple[Any, Any, Any] = _loaded[job.digest]
+    return found
+
+
+def _of_machine(error: BezierError) -> BezierError:
+    error.of_machine = True  # type: ignore[attr-defined]
+    return error
