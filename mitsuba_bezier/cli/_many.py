@@ -7,16 +7,13 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .._files import temporary_folder
 from ..errors import BezierError, RuntimeSetupError
 from ..rendering.bundle import make_bundle
 from ..rendering.picture import machine
 from . import _worker
-
-if TYPE_CHECKING:
-    from ._passes import Shot
 
 __all__ = ["check_dask", "connected", "job_of", "prepare"]
 
@@ -105,8 +102,8 @@ def _awaited(client: Any, count: int) -> Any:
     return client
 
 
-def job_of(shot: Shot) -> tuple[_worker.Job, Any]:
-    """Return what workers are told, and the files that they are sent."""
+def job_of(shot: Any) -> tuple[_worker.Job, Any]:
+    """Return what workers are told, and the files that they are sent, for a `_passes.Shot`."""
     args = shot.args
     bundle = make_bundle(shot.loaded.files, [args.scene, *args.more], args.append)
     threads = args.threads
@@ -119,7 +116,7 @@ def job_of(shot: Shot) -> tuple[_worker.Job, Any]:
     )
 
 
-def prepare(client: Any, shot: Shot, note: Callable[[str], None]) -> _worker.Job:
+def prepare(client: Any, shot: Any, note: Callable[[str], None]) -> _worker.Job:
     """Make sure that all workers are alike, and send them the files.
 
     Raises

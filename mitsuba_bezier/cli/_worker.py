@@ -85,7 +85,7 @@ def work(job: Job, indices: Sequence[int]) -> Rendered:
 def _scene_of(job: Job) -> tuple[Any, Any, Any]:
     """Return scene, sensor and integrator, which are loaded once."""
     if job.digest not in _loaded:
-        from . import render
+        from . import _inputs
 
         if job.digest not in _bundles:
             raise _of_machine(FileFormatError.expected("bundle", "the scene's files", "none"))
@@ -98,7 +98,7 @@ def _scene_of(job: Job) -> tuple[Any, Any, Any]:
         args = argparse.Namespace(**vars(job.args))
         args.scene, *args.more = (str(root / name) for name in bundle.inputs)
         args.append = [str(root / name) for name in bundle.folders]
-        loaded = render.load_input(args, job.variant)
+        loaded = _inputs.load(args, job.variant)
         if loaded.digest != job.identity["scene"]:
             raise FileFormatError.expected(
                 "scene",

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     """Plan, write the scripts, print the commands; return 0."""
     from .._files import check_target, refuse_inputs, write_file
     from ..rendering.plan import make_plan, sampled_pixels, usual_style
-    from . import _images, _scene, main, render
+    from . import _images, _inputs, _scene, main, render
 
     if not 1 <= args.parts <= MAX_PARTS:
         raise BezierError.expected("--parts", f"a number from 1 to {MAX_PARTS}", args.parts)
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     _scene.check_name(args.scene)
     parsed = main.parse(["render", *words])
     variant = render.set_variant(parsed.mode)
-    loaded = render.load_input(parsed, variant)
+    loaded = _inputs.load(parsed, variant)
     sensor = render.chosen_sensor(loaded.scene, parsed.sensor)
     spp = parsed.spp or sensor.sampler().sample_count()
     if spp < args.parts:

@@ -17,7 +17,7 @@ from ._flags import duration, noise_level, seconds
 from ._limits import add_limits
 from ._streams import printable
 
-__all__ = ["add_parser", "chosen_sensor", "load_input", "run", "set_variant", "stops"]
+__all__ = ["add_parser", "chosen_sensor", "run", "set_variant", "stops"]
 
 DEFAULT_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
@@ -202,7 +202,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Render and write the files; return 0."""
     scene_file = Path(args.scene)
-    from . import _images, _passes, _scene
+    from . import _images, _inputs, _passes, _scene
 
     for name in (args.scene, *args.more):
         _scene.check_name(name)
@@ -233,23 +233,12 @@ def run(args: argparse.Namespace) -> int:
             expected = "a number of threads that this system starts"
             raise BezierError.expected("--threads", expected, f"{args.threads} ({error})") from None
 
-    loaded = load_input(args, variant)
+    loaded = _inputs.load(args, variant)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {printable(note)}")
     sensor = chosen_sensor(loaded.scene, args.sensor)
     _passes.render(_passes.Shot(args, loaded, sensor, variant, output), say)
     return 0
-
-
-def load_input(args: argparse.Namespace, variant: str) -> Any:
-    """Return the scene of the command line, or one around its models, see `_scene.load`."""
-    from . import _scene
-
-    if _model.is_model(args.scene):
-        return _model.load(args)
-    return _scene.load(
-        Path(args.scene), variant, dict(args.define), args.append, args.allow_plugins, args.denoise
-    )
 
 
 def set_variant(wanted: str | None) -> str:
