@@ -211,7 +211,7 @@ def load(args: argparse.Namespace) -> Any:
             finishers += [extra.finish] if extra.finish else []
     node = describe(models, look, appearance)
     if args.denoise:  # which needs it
-        node["sensor"]["film"]["rfilter"] = {"type": "box"}
+        node["camera"]["film"]["rfilter"] = {"type": "box"}
     files = tuple(Path(path) for path in (args.scene, *args.more))
     if args.scene_out is not None:
         notes.append(f"wrote {_write_scene(node, args.scene_out, files)}")

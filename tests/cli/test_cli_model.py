@@ -128,3 +128,9 @@ def test_what_cannot_be_is_one_line(folder, capsys, words, message):
     assert message in err[-1] and err[-1].startswith("mitsuba-bezier: error: ")
     assert sum(line.startswith("mitsuba-bezier: error") for line in err) == 1
     assert not [name for name in os.listdir() if name.endswith((".exr", ".png"))]
+
+
+def test_a_model_is_denoised(folder):
+    pytest.importorskip("mitsuba_oidn")
+    assert render("ring.vtu", "--denoise", *SMALL) == 0
+    assert (folder / "ring.denoised.exr").is_file()
