@@ -29,7 +29,7 @@ __all__ = [
 #: Modules of this package with more to do with models. Each has ``add_options(add)``, which adds
 #: options by ``add("--name", ...)``, and ``prepare(args, models)``, which returns an `Extra`, or
 #: None if none of its options is given.
-HOOKS: tuple[str, ...] = ()
+HOOKS: tuple[str, ...] = ("_fields",)
 
 #: Options of models only, by the names that argparse gives them; see `refuse_for_scenes`.
 _own: set[str] = set()

@@ -74,10 +74,13 @@ def run(args: argparse.Namespace) -> int:
         groups, trims = [joined], [joined_trims]
     if args.trims:
         options["trims"] = trims
+    told = _fields(model, groups, args.output, options)
     save(groups, args.output, **options)
     if not args.quiet:
         for note in report.notes:
             print(f"mitsuba-bezier: note: {printable(note)}", file=sys.stderr)
+        if told:
+            print(f"mitsuba-bezier: note: {printable(told)}", file=sys.stderr)
         for refusal in report.refused:
             print(f"mitsuba-bezier: refused: {printable(str(refusal))}", file=sys.stderr)
         patches = sum(map(len, groups))
@@ -88,3 +91,17 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     return 1 if args.strict and report.refused else 0
+
+
+def _fields(model: Any, groups: list[Any], output: str, options: dict[str, Any]) -> str:
+    """Add the fields of a model to the options of its writer; return a note if that cannot be."""
+    if not model.fields:
+        return ""
+    names = ", ".join(repr(name) for name in list(model.fields)[:20])
+    if not output.lower().endswith(".vtu"):
+        return f"fields are not written, which only .vtu can hold: {names}"
+    if len(groups) > 1:
+        return f"fields are not written for patches of several degrees (see --elevate): {names}"
+    options["fields"] = list(model.fields.values())
+    options["edges"] = model.edges
+    return ""

@@ -69,6 +69,18 @@ def examine(model: Model) -> dict[str, Any]:
     else:
         bounds = np.concatenate([surface_boxes(net, together=True) for net in nets])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    fields = [
+        {
+            "name": name,
+            "components": field.components,
+            "degree": field.degree,
+            "unit": field.unit,
+            "rational": field.weights is not None,
+            "missing": int(field.missing().sum()),
+            "range": _range(field),
+        }
+        for name, field in model.fields.items()
+    ]
     return {
         "file": report.path,
         "format": report.format,
@@ -80,6 +92,7 @@ def examine(model: Model) -> dict[str, Any]:
         "unit": model.unit,
         "parts": _parts(model),
         "patches": groups,
+        "fields": fields,
         # of the surface, before trims, up to a thousandth; None where it reaches infinity
         "bounds": [[x if np.isfinite(x) else None for x in side.tolist()] for side in (low, high)],
     }
@@ -103,6 +116,18 @@ def _parts(model: Model) -> list[dict[str, Any]]:
         }
         for part in (model.parts if model.has_parts else [])
     ]
+
+
+def _range(field: Any) -> list[float] | None:
+    """Return the ends of a field, None where they are not found soon, or are none."""
+    from ..errors import GeometryError
+
+    if field.ordinates.size > _MAX_SPLIT:
+        return None
+    try:
+        return list(field.range())
+    except GeometryError:
+        return None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -145,6 +170,16 @@ def run(args: argparse.Namespace) -> int:
     for name, side, infinity in zip(("from", "to"), found["bounds"], ("-infinity", "infinity")):
         numbers = ", ".join(infinity if x is None else f"{x:.6g}" for x in side)
         print(f"  bounds {name:4} ({numbers})")
+    for field in found["fields"]:
+        count = field["components"]
+        what = f"{count} component{'s' * (count > 1)} of degree {field['degree']}"
+        if field["range"] is not None:
+            low, high = field["range"]
+            unit = f" {field['unit']}" if field["unit"] else ""
+            what += f", {'magnitude ' * (count > 1)}{low:.6g} to {high:.6g}{unit}"
+        if field["missing"]:
+            what += f", none on {field['missing']} patches"
+        print(printable(f"  field       {field['name']}: {what}"))
     for refusal in found["refused"]:
         count = f"{refusal['count']} x " if refusal["count"] > 1 else ""
         print(printable(f"  refused     {count}{refusal['face']}: {refusal['reason']}"))

@@ -8,6 +8,7 @@ command, write the module and put its name into `COMMANDS`.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -45,6 +46,11 @@ EXIT_INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended, se
 
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors take one line, like all others."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        # of argparse itself, which takes -1 for a value, but -1,1 and -1e-3 for options
+        self._negative_number_matcher = re.compile(r"-[0-9.][0-9.,eE+-]*$")
 
     def error(self, message: str) -> NoReturn:
         self.exit(EXIT_ERROR, f"{PROGRAM}: error: {message} (see '{self.prog} --help')\n")

@@ -58,7 +58,10 @@ _READERS = {
     ".vtu": "vtk.reader.read",
 }
 #: Options of the writers, by suffix.
-_OPTIONS = {".ply": ("chord_error",), ".vtu": ("encoding", "trims", "attributes")}
+_OPTIONS = {
+    ".ply": ("chord_error",),
+    ".vtu": ("encoding", "trims", "attributes", "fields", "edges"),
+}
 #: Suffixes of the formats whose patches can have trims.
 _TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu")
 #: Suffixes of the formats that have fields.
@@ -207,8 +210,8 @@ def save(
     path : path
         The file; its suffix tells the format.
     **options
-        Those of the format: ``encoding``, ``trims`` and ``attributes`` for ``.vtu``,
-        ``chord_error`` for ``.ply``.
+        Those of the format: ``encoding``, ``trims``, ``attributes``, ``fields`` and ``edges`` for
+        ``.vtu``, ``chord_error`` for ``.ply``.
 
     Raises
     ------

@@ -15,6 +15,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from ..errors import FileFormatError
+from ..geometry.fields import BezierField
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
 
@@ -33,6 +34,7 @@ _TAGS = {
     "beziertriangle": "shape",
     "rectangle": "shape",
     "disk": "shape",
+    "bezierfield": "texture",
     "mesh_attribute": "texture",
     "bitmap": "texture",
     "bezierpath": "integrator",
@@ -145,6 +147,24 @@ def _element(
     return [f"{indent}<string{_name(key)} value={quoteattr(str(value))}/>"]
 
 
+def _without_fields(
+    node: Mapping[str, Any], filename: str, fields: list[BezierField], sides: list[np.ndarray]
+) -> dict[str, Any]:
+    """Return a node whose textures find their fields in a file, and add these to the lists."""
+    out: dict[str, Any] = {}
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            out[key] = _without_fields(value, filename, fields, sides)
+        elif node.get("type") == "bezierfield" and isinstance(value, BezierField):
+            fields.append(value)
+            out |= {"filename": filename, "field": value.name}
+        elif node.get("type") == "bezierfield" and isinstance(value, np.ndarray):
+            sides.append(value)
+        else:
+            out[key] = value
+    return out
+
+
 def _with_files(
     node: Mapping[str, Any], path: Path, files: dict[Path, bytes], key: str
 ) -> dict[str, Any]:
@@ -173,9 +193,21 @@ def _with_files(
         if name == "texcoords" or (name.split("_")[0] in ("face", "vertex") and "_" in name)
     }
     name = path.with_name(f"{path.stem}-{key}.vtu")
+    fields: list[BezierField] = []
+    sides: list[np.ndarray] = []
+    for inner, item in out.items():
+        if isinstance(item, Mapping):
+            out[inner] = _without_fields(item, name.name, fields, sides)
     with temporary_folder() as folder:
         target = Path(folder) / "part.vtu"
-        write(patches, target, trims=trims if isinstance(trims, Trims) else None, attributes=tables)
+        write(
+            patches,
+            target,
+            trims=trims if isinstance(trims, Trims) else None,
+            attributes=tables,
+            fields=fields,
+            edges=sides[0] if sides else None,
+        )
         files[name] = target.read_bytes()
     filename = {"filename": name.name}
     for maps in ("instances", "copies"):

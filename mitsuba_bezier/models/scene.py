@@ -16,6 +16,7 @@ from ..io import Model, Part, Report, read
 from . import bounds, lights
 from .camera import View, fitted, read_up, read_view, view_frame
 from .description import to_dictionary
+from .fields import Coloring, FieldLook, coloring, warped_models
 from .materials import PALETTE, material, painted
 from .selection import Selection, renamed, selected
 
@@ -25,6 +26,9 @@ __all__ = ["Appearance", "Look", "describe", "models_of", "scene"]
 #: returns parameters for their shape (``bsdf``, ``vertex_...``, ``face_...``), or None for what the
 #: part looks like without.
 Appearance = Callable[[Part, int, np.ndarray], "Mapping[str, Any] | None"]
+
+#: Options of `scene` for fields.
+FIELD_OPTIONS = tuple(FieldLook.__dataclass_fields__)
 
 #: Names of the shape's parameter for placements, the newer first.
 _PLACES = ("instances", "copies")
@@ -134,6 +138,8 @@ def scene(model: Any, *, appearance: Appearance | None = None, **look: Any) -> d
         Which parts are shown.
     materials : mapping of str to str
         Materials by names of parts; see `material`.
+    color_by, component, colormap, range, levels, isolines, edges, warp, factor
+        How fields are shown, see `FieldLook`.
     appearance : callable, optional
         Called as ``appearance(part, group, patches)`` for each shape; what it returns are
         parameters of the shape, such as ``bsdf`` and ``vertex_...``, in place of the part's.
@@ -154,10 +160,18 @@ def scene(model: Any, *, appearance: Appearance | None = None, **look: Any) -> d
     """
     import mitsuba as mi
 
+    of_fields = {name: look.pop(name) for name in list(look) if name in FIELD_OPTIONS}
     if unknown := [name for name in look if name not in Look.__dataclass_fields__]:
-        names = ", ".join(Look.__dataclass_fields__)
+        names = ", ".join([*Look.__dataclass_fields__, *FIELD_OPTIONS])
         raise BezierError.expected("scene", f"options {names} and appearance", unknown[0])
-    return to_dictionary(mi, describe(models_of(model), Look(**look), appearance))
+    models = models_of(model)
+    if of_fields:
+        shown = FieldLook(**of_fields)
+        if shown.warp is not None:
+            models = warped_models(models, shown.warp, shown.factor)
+        if shown.color_by is not None and appearance is None:
+            appearance = coloring(models, shown)
+    return to_dictionary(mi, describe(models, Look(**look), appearance))
 
 
 def describe(
@@ -189,6 +203,8 @@ def describe(
         "hide_emitters": look.behind != "light",
     }
     out["camera"] = _sensor(view, look)
+    if isinstance(appearance, Coloring):
+        appearance.see(out["camera"])
     out |= _light(look, axes, frame.back, points)
     if look.has_ground:
         out["ground"] = _ground(parts, points, axes, size)

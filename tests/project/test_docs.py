@@ -11,6 +11,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = (
     "conformance.md",
     "conventions.md",
+    "fields.md",
     "integrators.md",
     "inverse.md",
     "lecture.md",
@@ -25,6 +26,7 @@ PAGES = (
 BLOCKS = {
     "conformance.md": 1,
     "conventions.md": 5,
+    "fields.md": 1,
     "integrators.md": 2,
     "inverse.md": 1,
     "lecture.md": 5,

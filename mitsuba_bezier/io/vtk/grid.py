@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import FileFormatError
+from ...geometry import bernstein
 from ...geometry.trims import Trims
 from ..cells import MAX_LAGRANGE, CellField, Cells, add_cells
 from ..report import Collector
 from ..tensor_nets import fans
 from ..volume_faces import VOLUMES, add_surface
 from .cell_types import CELL_NAMES, READ, cell_lattice
+from .field_arrays import own_field
 
 __all__ = ["MAX_DEGREE", "Array", "Grid", "add_grid", "note_ghosts"]
 
@@ -61,6 +63,8 @@ class Grid:
         The points have weights.
     old_order : bool
         Hexahedra have the order of VTK before 9.1.
+    sides : (C, 3) bool array or None
+        Of triangles, as edges of `Model`.
     """
 
     points: np.ndarray
@@ -77,6 +81,7 @@ class Grid:
     cell_arrays: dict[str, Array] = field(default_factory=dict)
     rational: bool = False
     old_order: bool = False
+    sides: np.ndarray | None = None
 
     def fields(self, kind: str, lattice: np.ndarray, index: np.ndarray, cells: np.ndarray,
                bezier: bool) -> dict[str, CellField]:  # fmt: skip
@@ -88,10 +93,30 @@ class Grid:
             out[name] = CellField(lattice, index, array.values, own, bezier, unit=array.unit)
         constant = np.zeros((1, _WIDTH[kind]), int)
         for name, array in self.cell_arrays.items():
+            own_name = own_field(name, array.values) if kind == "triangle" else None
+            if own_name is not None:
+                out[own_name[0]] = _ordinates(own_name, array, cells)
+                continue
             if name in out:
                 name = f"{name} (cells)"
             out[name] = CellField(constant, cells[:, None], array.values, unit=array.unit)
         return out
+
+
+def _ordinates(own: tuple[str, int, bool], array: Array, cells: np.ndarray) -> CellField:
+    """Return a field that our writer has written."""
+    _name, components, rational = own
+    values = array.values.reshape(-1, components + rational)
+    size = len(values) // max(len(array.values), 1)
+    n = next(n for n in range(41) if bernstein.size(n) == size)
+    rows = cells[:, None] * size + np.arange(size)
+    weights = None
+    if rational:  # they are multiplied already
+        weights = values[:, -1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = np.where(weights[:, None] != 0, values[:, :-1] / weights[:, None], 0.0)
+    lattice = bernstein.multi_indices(n)
+    return CellField(lattice, rows, values, weights, bezier=True, unit=array.unit)
 
 
 def needed(types: np.ndarray, copies: np.ndarray, hidden: np.ndarray) -> np.ndarray:
@@ -193,7 +218,8 @@ def add_grid(
             net = grid.net if is_bezier else plain
             trimmed = grid.trims is not None and number == _BEZIER_TRIANGLE
             own = grid.trims[group] if trimmed and grid.trims is not None else None
-            add_cells(collector, part, net, first + group, own)
+            sides = None if grid.sides is None or kind != "triangle" else grid.sides[group]
+            add_cells(collector, part, net, first + group, own, edges=sides)
     for is_bezier in (False, True):
         some = [v for v in volumes if v.bezier == is_bezier]
         net = grid.net if is_bezier else plain

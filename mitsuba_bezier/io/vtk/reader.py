@@ -28,6 +28,7 @@ from ...geometry.trims import Trims
 from ..files import damaged
 from ..report import Collector, Model
 from ..trim_arrays import unpacked_trims
+from .field_arrays import SIDES
 from .ghosts import ghost_cells, hidden_points
 from .grid import Array, Grid, add_grid, needed, note_ghosts
 from .xml import Element, VtkXml
@@ -235,6 +236,9 @@ def _read_piece(
         skip = {*_NO_FIELDS, flagged, *(a.name for a in TRIM_ARRAYS.values())}
         grid.point_arrays = read_arrays(xml, data, points_count, skip, collector)
         grid.cell_arrays = read_arrays(xml, piece.first("CellData"), cells_count, skip, collector)
+        sides = grid.cell_arrays.pop(SIDES, None)
+        if sides is not None and sides.values.shape[1] == 3:
+            grid.sides = sides.values != 0
     ghosts = add_grid(
         collector, grid, first, lambda expected, got: damaged(xml.path, expected, got,
                                                               line=cells.line)

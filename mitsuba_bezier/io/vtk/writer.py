@@ -8,22 +8,28 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from os import PathLike
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 
 from ...errors import FileFormatError
 from ...geometry import bernstein
+from ...geometry.fields import BezierField
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
 from ..files import write_bytes
 from ..lattices import triangle_lattice
 from ..trim_arrays import packed_trims
 from .attributes import TCOORDS, vtk_arrays
+from .field_arrays import field_arrays, own_name
 from .reader import HOMOGENEOUS, TRIM_ARRAYS
 
 __all__ = ["point_order", "write"]
 
 _BEZIER_TRIANGLE = 76
+
+#: VTK's way to tell the unit of an array.
+_UNIT = 'InformationKey name="UNITS_LABEL" location="vtkDataArray"'
 
 #: A control vector is shown to VTK as a point far away, of this weight relative to the largest:
 #: a power of two, so that the vector itself is kept exactly.
@@ -45,6 +51,8 @@ def write(
     encoding: str = "appended",
     trims: Trims | Sequence[Trims | None] | None = None,
     attributes: Mapping[str, Any] | None = None,
+    fields: Sequence[BezierField] = (),
+    edges: np.ndarray | None = None,
 ) -> None:
     """Write Bézier triangles as a ``.vtu`` file that VTK and ParaView show.
 
@@ -63,6 +71,10 @@ def write(
     attributes : mapping, optional
         Texture coordinates ``texcoords`` ``(P, 3, 2)``, attributes ``face_...`` ``(P, C)`` and
         ``vertex_...`` ``(P, K, C)`` of one item of `triangles`; see `vtu_attributes`.
+    fields : sequence of BezierField
+        On the patches of one item of `triangles`; see `field_arrays`.
+    edges : (P, 3) array, optional
+        Which sides of these patches are sides of faces; see `Model`.
 
     Raises
     ------
@@ -81,6 +93,10 @@ def write(
     if attributes and len(groups) > 1:
         raise FileFormatError.expected("attributes", "patches of one degree", len(groups))
     own_points, own_cells = vtk_arrays(groups[0], attributes or {})
+    if (fields or edges is not None) and len(groups) > 1:
+        raise FileFormatError.expected("fields", "patches of one degree", len(groups))
+    more_points, more_cells = field_arrays(groups[0], fields, edges)
+    units = {name: f.unit for f in fields for name in (f.name, own_name(f)) if f.unit}
     nets = [g.control_points[:, point_order(g.degree)] for g in groups]
     homogeneous = np.concatenate([net.reshape(-1, 4) for net in nets])
     sizes = np.concatenate([np.full(len(net), net.shape[1]) for net in nets])
@@ -100,8 +116,9 @@ def write(
         point_data.append(out.array(HOMOGENEOUS, homogeneous, "Float64"))
     if TCOORDS in own_points:
         flag += f' {TCOORDS}="{TCOORDS}"'
-    point_data += [out.array(name, a, "Float64") for name, a in own_points.items()]
-    cell_data = [out.array(name, a, "Float64") for name, a in own_cells.items()]
+    own_points, own_cells = own_points | more_points, own_cells | more_cells
+    point_data += [out.array(k, a, "Float64", unit=units.get(k, "")) for k, a in own_points.items()]
+    cell_data = [out.array(k, a, "Float64", unit=units.get(k, "")) for k, a in own_cells.items()]
     field_data: list[str] = []
     if every is not None:
         for key, values in packed_trims(every).items():
@@ -178,7 +195,11 @@ class _Writer:
         self._appended: list[bytes] = []
         self._size = 0
 
-    def array(self, name: str, values: np.ndarray, typename: str, tuples: bool = False) -> str:
+    def array(
+        self, name: str, values: np.ndarray, typename: str, tuples: bool = False, unit: str = ""
+    ) -> str:
+        name = escape(name, {'"': "&quot;", "\n": " "})
+        told = f"<{_UNIT}>{escape(unit)}</InformationKey>\n" if unit else ""
         components = f' NumberOfComponents="{values.shape[1]}"' if values.ndim == 2 else ""
         if tuples:  # field data does not belong to points or cells, whose number is known
             components += f' NumberOfTuples="{len(values)}"'
@@ -186,16 +207,16 @@ class _Writer:
         if self._encoding == "ascii":
             rows = values if values.ndim == 2 else values[:, None]
             lines = (" ".join(map(repr, row)) for row in rows.tolist())
-            return head + ">\n" + "\n".join(lines) + "\n</DataArray>"
+            return head + ">\n" + "\n".join(lines) + f"\n{told}</DataArray>"
         dtype = {"Float64": "<f8", "Int64": "<i8", "UInt8": "<u1"}[typename]
         header, data = self._compress(values.astype(dtype).tobytes())
         if self._encoding == "binary":
             text = (base64.b64encode(header) + base64.b64encode(data)).decode()
-            return f"{head}>\n{text}\n</DataArray>"
+            return f"{head}>\n{text}\n{told}</DataArray>"
         offset = self._size
         self._appended += [header, data]
         self._size += len(header) + len(data)
-        return f'{head} offset="{offset}"/>'
+        return f'{head} offset="{offset}"' + (f">{told}</DataArray>" if told else "/>")
 
     @staticmethod
     def _compress(data: bytes, block: int = 1 << 20) -> tuple[bytes, bytes]:
