@@ -328,3 +328,16 @@ def test_the_bar_has_the_colours_from_end_to_end(height):
         assert ((column >= low) & (column <= high)).all(axis=1).any()
     picture = np.zeros((height, 10, bar.shape[2]), np.uint8)
     assert beside(picture, bar).shape == (height, 10 + bar.shape[1], bar.shape[2])
+
+
+def test_the_film_of_a_model_has_a_box_filter_for_the_denoiser(model):
+    import argparse
+
+    from mitsuba_bezier.cli import _model, render
+
+    parser = argparse.ArgumentParser()
+    render.add_parser(parser.add_subparsers(dest="command"))
+    words = ["render", str(model), "--color-by", "T", "--denoise", "--size", "8x8", "--no-bar"]
+    loaded = _model.load(parser.parse_args(words))
+    film = loaded.scene.sensors()[0].film()
+    assert film.rfilter().class_name().startswith("Box")
