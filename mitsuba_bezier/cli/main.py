@@ -36,6 +36,7 @@ COMMANDS = (
     "info",
     "conformance",
     "figure",
+    "film",
     "lens",
     "doctor",
 )

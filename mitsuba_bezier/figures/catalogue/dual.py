@@ -11,6 +11,7 @@ from ...geometry.curves import BezierCurve
 from ...geometry.developable import DevelopableSurface
 from ...geometry.duality import DualBezierCurve
 from ...geometry.projective import affine
+from ...geometry.unrolling import strip, strip_faces, unrolled
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -140,9 +141,42 @@ def developable(style: str = "screen", rulings: int = 17) -> Drawing:
     return d
 
 
+def unrolling(style: str = "screen", bend: float = 0.45) -> Drawing:
+    """A developable unrolls: lengths and areas stay as it bends into the plane."""
+    from .. import space
+
+    camera = Camera(look_at([5.2, 5.4, 3.6], [0.55, 0.6, 0.5], [0, 0, 1]), 34, "x", (1600, 900))
+    d = space(camera, style)
+    x = strip(DevelopableSurface(PLANES), BOTTOM, TOP, 61)
+    y = unrolled(x, bend)
+    for points, look in ((unrolled(x, 0.0), "hidden"), (y, "curve")):
+        for side in (points[::2], points[1::2]):
+            d._stroke([d.place(side)], look)
+    for k in range(0, 122, 6):
+        d.segment(y[k], y[k + 1], "line", linewidth=0.9)
+    d.segment(y[0], y[1], "line")
+    d.segment(y[-2], y[-1], "line")
+    corners = y[strip_faces(len(y))]
+    area = (
+        np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        ).sum()
+        / 2
+    )
+    length = np.linalg.norm(np.diff(y[::2], axis=0), axis=1).sum()
+    for face in corners[::2]:
+        d.fill(face, 0.85, alpha=0.6)
+    d.title(
+        f"Angles between rulings bent to {100 * bend:.0f} %: area {area:.4f}, "
+        f"lower side {length:.4f}, as ever.\nDotted: unrolled into a plane."
+    )
+    return d
+
+
 FIGURES = {
     "dual_curve": dual_curve,
     "control_planes": control_planes,
     "osculating_planes": osculating_planes,
     "developable": developable,
+    "unrolling": unrolling,
 }

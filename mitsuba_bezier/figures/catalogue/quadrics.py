@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...geometry.camera import Camera, look_at
+from ...geometry.conics import circle
 from ...geometry.covers import quadric_cover, sphere
 from ...geometry.curves import BezierCurve
 from ...geometry.four_sided import boundary_curve, four_sided_net
 from ...geometry.isoparametric import isoparametric
 from ...geometry.projective import affine, ideal, is_ideal, point
+from ...geometry.quadric_types import classify_quadric
 from ...geometry.quadrics import quadric_patch
 from ...geometry.stereographic import StereographicProjection
 from ...geometry.tensor import tensor_to_triangles
@@ -300,7 +302,33 @@ def _outline(d: Drawing, patch: BezierTriangles, k: int, edge: int, zorder: floa
         d.curve(curve, "line", zorder=zorder, linewidth=1.3)
 
 
+def quadric_family(style: str = "screen", turn: float = 25.0) -> Drawing:
+    """One collineation takes a paraboloid through all oval quadrics."""
+    from .. import space
+
+    d = space(_camera((3.4, -6.4, 2.8), (0, 0, 0.95), 52), style)
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    # z and w are turned into each other, x^2 + y^2 = z w with them
+    m = np.eye(4)
+    m[2:, 2:] = [[c, -s], [s, c]]
+    back = np.linalg.inv(m)
+    A = back.T @ BOWL @ back
+    for h in (0.02, 0.08, 0.2, 0.45, 0.9, 1.6, 3.0, 6.0, 14.0, 50.0):
+        for arc in circle((0, 0), float(np.sqrt(h)), 4):  # circles of the bowl, at the height h
+            net = np.insert(arc.control_points, 2, h * arc.weights, axis=1)
+            d.curve(BezierCurve(net @ m.T), "line", linewidth=1.2)
+    for a in np.linspace(0, np.pi, 9)[:-1]:  # its meridians, both halves, to the ideal point
+        for sign in (1.0, -1.0):
+            way = sign * np.array([np.cos(a), np.sin(a), 0, 0])
+            net = np.array([[0, 0, 0, 1.0], 0.5 * way, [0, 0, 1.0, 0]])
+            d.curve(BezierCurve(net @ m.T), "thin", linewidth=1.0)
+    name = classify_quadric(A)
+    d.title(f"$x^2 + y^2 = z w$, with $z$ and $w$ turned into each other by {turn:.0f}°: {name}.")
+    return d
+
+
 FIGURES = {
+    "quadric_family": quadric_family,
     "paraboloid": paraboloid,
     "sphere_point": sphere_point,
     "hyperboloid_point": hyperboloid_point,
