@@ -117,6 +117,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="gold, steel, glass, plastic:#rrggbb, matte:#rrggbb, ..., or a <bsdf> of XML; "
         "'*=M' for all parts",
     )
+    add("--explode", metavar="F", type=float, help="move parts away from the middle")
+    add(
+        "--section",
+        metavar="PLANE",
+        help="cut by a plane: z=10, x<50%% (what is kept), 1,0,1=4",
+    )
+    add("--cap", metavar="C", help="what closes bodies that are cut: hatched, flat or none")
     add(
         "--scene",
         metavar="OUT.xml",
@@ -155,14 +162,17 @@ def refuse_for_scenes(args: argparse.Namespace) -> None:
             raise BezierError.expected(flag, f"a model ({suffixes})", f"the scene {args.scene}")
 
 
+#: Options that `Look` has under the same name.
+_LOOK: tuple[str, ...] = ("view", "up", "fov", "ortho", "light", "ground", "background")
+_LOOK += ("size", "spp", "explode", "section", "cap")
+
+
 def _look(args: argparse.Namespace) -> Any:
     from ..models.scene import Look
     from ..models.selection import Selection
 
     chosen: dict[str, Any] = {
-        name: getattr(args, name)
-        for name in ("view", "up", "fov", "ortho", "light", "ground", "background", "size", "spp")
-        if getattr(args, name) is not None
+        name: getattr(args, name) for name in _LOOK if getattr(args, name) is not None
     }
     chosen["selection"] = Selection(tuple(args.only), tuple(args.hide))
     return Look(**chosen, materials=dict(args.material))
@@ -209,7 +219,7 @@ def load(args: argparse.Namespace) -> Any:
             models, appearance = extra.models, extra.appearance or appearance
             notes += extra.notes
             finishers += [extra.finish] if extra.finish else []
-    node = describe(models, look, appearance)
+    node = describe(models, look, appearance, notes)
     if args.denoise:  # which needs it
         node["camera"]["film"]["rfilter"] = {"type": "box"}
     files = tuple(Path(path) for path in (args.scene, *args.more))

@@ -130,9 +130,9 @@ def _element(
         if tag == "shape" or tag == "emitter":
             role = f" id={quoteattr(key)}" if tag == "shape" else ""
         lines = [f"{indent}<{tag} type={quoteattr(value['type'])}{role}>"]
-        for inner, item in _with_files(value, path, files, key).items():
+        for inner, item in _with_files(value, path, files, owner).items():
             if inner != "type":
-                lines += _element(inner, item, path, files, indent + "  ", key)
+                lines += _element(inner, item, path, files, indent + "  ", owner)
         return [*lines, f"{indent}</{tag}>"]
     if key == "to_world":
         numbers = " ".join(repr(float(x)) for x in np.asarray(value, dtype=np.float64).ravel())

@@ -14,11 +14,12 @@ from ..errors import BezierError
 from ..geometry.triangles import BezierTriangles
 from ..io import Model, Part, Report, read
 from . import bounds, lights
+from . import section as cuts
 from .camera import View, fitted, read_up, read_view, view_frame
 from .description import to_dictionary
 from .fields import Coloring, FieldLook, coloring, warped_models
 from .materials import PALETTE, material, painted
-from .selection import Selection, renamed, selected
+from .selection import Selection, exploded, renamed, selected
 
 __all__ = ["Appearance", "Look", "describe", "models_of", "scene"]
 
@@ -29,6 +30,9 @@ Appearance = Callable[[Part, int, np.ndarray], "Mapping[str, Any] | None"]
 
 #: Options of `scene` for fields.
 FIELD_OPTIONS = tuple(FieldLook.__dataclass_fields__)
+
+#: What closes bodies that are cut.
+CAPS = ("hatched", "flat", "none")
 
 #: Names of the shape's parameter for placements, the newer first.
 _PLACES = ("instances", "copies")
@@ -50,6 +54,9 @@ class Look:
     max_depth: int = 8
     selection: Selection = field(default_factory=Selection)
     materials: Mapping[str, str] = field(default_factory=dict)
+    explode: float = 0.0
+    section: str | None = None
+    cap: str = "hatched"
 
     def __post_init__(self) -> None:
         read_view(self.view)
@@ -59,6 +66,12 @@ class Look:
             raise BezierError.expected("size", "from 1 to 65536 pixels a side", f"{self.size}")
         if self.fov is not None and not 0.1 <= self.fov <= 150:
             raise BezierError.expected("fov", "an angle from 0.1 to 150 degrees", self.fov)
+        if not 0 <= self.explode <= 1e3:
+            raise BezierError.expected("explode", "a number from 0 to 1000", self.explode)
+        if self.cap not in CAPS:
+            raise BezierError.expected("cap", f"one of {', '.join(CAPS)}", repr(self.cap))
+        if self.section is not None:
+            cuts.read_section(self.section)
         if not self.spp >= 1:
             raise BezierError.expected("spp", "at least one sample a pixel", self.spp)
         if self.background is not None and self.background not in (
@@ -140,6 +153,12 @@ def scene(model: Any, *, appearance: Appearance | None = None, **look: Any) -> d
         Materials by names of parts; see `material`.
     color_by, component, colormap, range, levels, isolines, edges, warp, factor
         How fields are shown, see `FieldLook`.
+    explode : float
+        How far parts are moved away from the middle, relative to their distance from it.
+    section : str
+        A plane that cuts the model: ``z=10``, ``x<50%`` (what is kept), ``1,0,1=4``.
+    cap : str
+        What closes bodies that are cut: ``hatched``, ``flat``, or ``none``.
     appearance : callable, optional
         Called as ``appearance(part, group, patches)`` for each shape; what it returns are
         parameters of the shape, such as ``bsdf`` and ``vertex_...``, in place of the part's.
@@ -175,9 +194,12 @@ def scene(model: Any, *, appearance: Appearance | None = None, **look: Any) -> d
 
 
 def describe(
-    models: Sequence[Model], look: Look, appearance: Appearance | None = None
+    models: Sequence[Model],
+    look: Look,
+    appearance: Appearance | None = None,
+    notes: list[str] | None = None,
 ) -> dict[str, Any]:
-    """Return the description of a scene, see `description`.
+    """Return the description of a scene, see `description`; `notes` gets what is to be told.
 
     Raises
     ------
@@ -188,6 +210,8 @@ def describe(
     name = models[0].report.path or "model"
     parts = selected(every, look.selection)
     bounds.check_finite(parts, name)
+    if look.explode:
+        parts = exploded(parts, look.explode)
     axes = read_up(look.up)
     frame = view_frame(*read_view(look.view), axes)
     points = bounds.surface_points(parts)
@@ -208,8 +232,58 @@ def describe(
     out |= _light(look, axes, frame.back, points)
     if look.has_ground:
         out["ground"] = _ground(parts, points, axes, size)
-    out |= _shapes(every, parts, look, appearance)
+    if look.section is None:
+        return out | _shapes(every, parts, look, appearance)
+    plane = cuts.resolved(cuts.read_section(look.section), points, frame.back)
+    return out | _cut(every, parts, look, appearance, plane, size, notes)
+
+
+def _cut(
+    every: Sequence[Part],
+    parts: Sequence[Part],
+    look: Look,
+    appearance: Appearance | None,
+    plane: np.ndarray,
+    size: float,
+    notes: list[str] | None,
+) -> dict[str, Any]:
+    """Return the shapes of parts that are cut by a plane, and their caps."""
+    out: dict[str, Any] = {}
+    common = {"section": " ".join(repr(float(x)) for x in plane)}
+    open_ones = []
+    for number, body in enumerate(cuts.bodies(parts), 1):
+        points = bounds.surface_points([body])
+        heights = points @ plane[:3]
+        if heights.min() >= plane[3]:
+            continue  # all of it is cut away
+        shapes = _shapes(every, [body], look, appearance, out)
+        out |= {key: {**node, **common, "body": number} for key, node in shapes.items()}
+        if look.cap == "none" or heights.max() <= plane[3]:
+            continue
+        sign = cuts.closed(body)
+        if not sign:
+            open_ones.append(body.name)
+            continue
+        box = np.stack([points.min(axis=0), points.max(axis=0)])
+        box += 0.05 * (box[1] - box[0]) * [[-1], [1]]
+        colour = np.array(_plain(every, body) if body.colour is None else body.colour)
+        # darker than the surface, so that the cut is told from it
+        colour = np.clip(0.12 + 0.62 * colour, 0.0, 0.75)
+        cap = cuts.cap_node(plane, box, size, colour, look.cap == "hatched")
+        key = _unique(f"cap-{body.name}", out)
+        out[key] = {**cap, **common, "body": number, "cap": sign}
+    if open_ones and notes is not None:
+        notes.append(f"no cap, for these are no closed bodies: {', '.join(open_ones[:9])}")
     return out
+
+
+def _plain(every: Sequence[Part], part: Part) -> Any:
+    """Return the colour of a part whose file tells none."""
+    if any(one.colour is not None or one.paints for one in every):
+        return 0.55, 0.56, 0.58
+    names = [one.name for one in every]
+    stem = part.name if part.name in names else part.name.rpartition(".")[0]
+    return PALETTE[names.index(stem) % len(PALETTE)]
 
 
 def _sensor(view: View, look: Look) -> dict[str, Any]:
@@ -315,21 +389,24 @@ def _ground(
 
 
 def _shapes(
-    every: Sequence[Part], parts: Sequence[Part], look: Look, appearance: Appearance | None
+    every: Sequence[Part],
+    parts: Sequence[Part],
+    look: Look,
+    appearance: Appearance | None,
+    taken: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     chosen = _materials(every, look.materials)
-    order = {part.name: k for k, part in enumerate(every)}
-    coloured = any(part.colour is not None or part.paints for part in every)
     out: dict[str, Any] = {}
     for part in parts:
-        plain = PALETTE[order[part.name] % len(PALETTE)] if not coloured else (0.55, 0.56, 0.58)
+        stem = part.name if part.name in chosen else part.name.rpartition(".")[0]
         for number in range(len(part.groups)):
             paint = part.paint_of(number)
             for colour in np.unique(paint).tolist():
                 rows = np.flatnonzero(paint == colour)
                 own = part.paints[colour] if colour >= 0 else part.colour
-                bsdf = chosen.get(part.name) or painted(plain if own is None else own)
-                key = _unique(part.name, out)
+                own = _plain(every, part) if own is None else own
+                bsdf = chosen.get(part.name) or chosen.get(stem) or painted(own)
+                key = _unique(part.name, {**(taken or {}), **out})
                 out[key] = _shape(part, number, rows, bsdf, appearance)
     return out
 

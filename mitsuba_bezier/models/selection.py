@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import BezierError
 from ..io.parts import Part
 
-__all__ = ["Selection", "matching", "renamed", "selected"]
+__all__ = ["Selection", "exploded", "matching", "renamed", "selected"]
 
 
 @dataclass(frozen=True)
@@ -113,4 +113,30 @@ def renamed(parts: Sequence[Part]) -> list[Part]:
             name = f"{part.name}.{k}"
         taken.add(name)
         out.append(part if name == part.name else replace(part, name=name))
+    return out
+
+
+def exploded(parts: Sequence[Part], factor: float) -> list[Part]:
+    """Return parts whose places are moved away from the middle of all.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+    factor : float
+        How far, relative to the distance of a place's middle from that of all.
+    """
+    from .bounds import surface_points
+
+    middles = []
+    for part in parts:
+        own = surface_points([replace(part, placements=np.eye(4)[None], places=[part.name])])
+        middle = (own.min(axis=0) + own.max(axis=0)) / 2
+        middles.append(part.placements[:, :3, :3] @ middle + part.placements[:, :3, 3])
+    every = np.concatenate(middles)
+    centre = (every.min(axis=0) + every.max(axis=0)) / 2
+    out = []
+    for part, own in zip(parts, middles):
+        placements = part.placements.copy()
+        placements[:, :3, 3] += factor * (own - centre)
+        out.append(replace(part, placements=placements))
     return out

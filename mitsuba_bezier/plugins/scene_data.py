@@ -33,6 +33,7 @@ from .frozen import contents, is_bezier
 from .interaction import Met, PatchTables, Preliminary, meet
 from .offsets import position_error
 from .projections import Projections
+from .section import Section
 from .surface_sampling import SurfaceSampling
 
 __all__ = [
@@ -84,6 +85,11 @@ class SceneData:
             patch_first += [first] * len(shape.patches)
             first += len(shape.patches)
         leaves = Leaves.join(parts)
+        #: The plane that cuts the shapes, or None; caps are not met as other patches are.
+        self.section = Section.of(shapes, [patch_shape.index(k) for k in range(len(shapes))])
+        if self.section is not None:
+            caps = np.isin(np.array(patch_shape)[leaves.patch], self.section.caps)
+            leaves = leaves.select(~caps)
         trims = [s.trims or Trims.none(len(s.patches)) for s in shapes]
         #: The tables of the trims, None if no patch has any; its first cells are the patches.
         self.trim: TrimTable | None = None
@@ -173,6 +179,8 @@ class SceneData:
         o = [ty.Float(dr.detach(ray.o[i], False)) for i in range(3)]
         d = [ty.Float(dr.detach(ray.d[i], False)) for i in range(3)]
         t_max, active = dr.detach(mi.Float(t_max), False), dr.detach(mi.Bool(active), False)
+        if self.section is not None:
+            return self.section.nearest(self, o, d, t_max, active, any_hit), None
         if self.copies is None:
             assert self.structure is not None
             return query(self.structure, o, d, t_max, active, any_hit, coherent), None

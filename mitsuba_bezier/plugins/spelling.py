@@ -21,7 +21,17 @@ _MEDIA = ("interior", "exterior")
 PARAMETERS = {
     "beziertriangle": (
         *("control_points", "filename", "to_world", "copies", "copies_filename", "flip_normals"),
-        *("trims", "texcoords", "uv", "face_normals", "silhouette_sampling_weight", *_MEDIA),
+        *(
+            "section",
+            "body",
+            "cap",
+            "trims",
+            "texcoords",
+            "uv",
+            "face_normals",
+            "silhouette_sampling_weight",
+            *_MEDIA,
+        ),
     ),
     "bezierfield": (
         *("ordinates", "weights", "filename", "field", "component", "colormap", "minimum"),

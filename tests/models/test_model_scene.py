@@ -183,3 +183,17 @@ def test_an_appearance_replaces_what_a_part_looks_like():
     node = describe(models_of(mb.sphere()), Look(), appearance)["part-net"]
     assert asked == [("net", 0, list(range(8)))]
     assert node["bsdf"] == {"type": "diffuse"} and len(node["face_a"]) == 8
+
+
+def test_exploded_parts_move_from_the_middle():
+    from mitsuba_bezier.models.selection import exploded
+
+    moves = np.stack([np.eye(4)] * 2)
+    moves[:, 0, 3] = -3, 3
+    pair = Part("pair", [mb.sphere()], [np.arange(8)], [None], moves)
+    middle = part(mb.sphere())
+    a, b = exploded([pair, middle], 0.5)
+    assert np.allclose(a.placements[:, 0, 3], [-4.5, 4.5], atol=1e-2) and len(a.groups[0]) == 8
+    assert np.allclose(b.placements[0], np.eye(4), atol=1e-2)
+    with pytest.raises(BezierError, match="explode"):
+        Look(explode=-1)

@@ -20,6 +20,7 @@ from ..copies import copy_boxes, read_copies
 from ..interaction import Preliminary
 from ..native.sensors import watch
 from ..projections import read_projection
+from ..section import read_section
 from ..surface_sampling import direction_sample
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
 from .mesh_base import make_mesh_base
@@ -80,6 +81,14 @@ def make_shape_class() -> type:
          * - copies_filename
            - |string|
            - A ``.npy`` file of these maps instead, or a text file with twelve numbers a line.
+         * - section
+           - |string|
+           - Four numbers ``a b c d``: only what has :math:`ax + by + cz \le d` is there (Default:
+             all of it). All Bézier shapes of a scene have the same.
+         * - body, cap
+           - |int|
+           - Shapes of one number ``body`` are one closed body; ``cap`` marks the plane triangle
+             that closes it where it is cut, 1 if its normals point outwards, -1 inwards.
          * - flip_normals
            - |bool|
            - Turn the normals, which follow :math:`\partial_u p \times \partial_v p`
@@ -129,6 +138,8 @@ def make_shape_class() -> type:
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
             #: Maps (N, 4, 4) of the copies, or None.
             self.copies = read_copies(props)
+            #: The plane that cuts it, the number of its body, and whether it is that body's cap.
+            self.section, self.body, self.cap = read_section(props)
             #: Name of the projection that texture coordinates come from, or None.
             self.projection = read_projection(props)
             texcoords, attributes = read_tables(props, len(patches))
