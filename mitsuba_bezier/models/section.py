@@ -22,9 +22,8 @@ _PATTERN = re.compile(
     r"(?P<how><=|>=|=|<|>)\s*(?P<at>[^%=<>]+)(?P<percent>%?)\s*",
     re.IGNORECASE,
 )
-#: A closed body has a sum of areas as vectors that is this small, relative to its area: bodies with
-#: trims, which are
-#: found at the points of a lattice only, have up to 0.0022.
+#: A closed body has a sum of areas as vectors that is this small, relative to its area. Bodies with
+#: trims, which are found at the points of a lattice only, have up to 0.0022.
 _OPEN = 0.02
 #: The same for these areas times their places, relative to area and size; those have 0.0006.
 _UNEVEN = 0.004
