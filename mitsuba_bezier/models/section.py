@@ -30,7 +30,7 @@ _UNEVEN = 0.004
 #: Points a patch along each side, for these sums.
 _LATTICE = 16
 #: Stripes of a hatched cap, over the size of the model.
-_STRIPES = 42
+_STRIPES = 24
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def closed(part: Part) -> int:
 def hatch(colour: np.ndarray) -> np.ndarray:
     """Return a picture ``(64, 64, 3)`` of one slanted stripe that repeats."""
     x = (np.arange(64) + 0.5) / 64
-    across = (x[:, None] + x[None, :]) % 1.0
+    across = (2 * x[:, None] + x[None, :]) % 1.0  # along no diagonal of a box
     line = np.clip((np.abs(across - 0.5) - 0.36) / 0.04, 0.0, 1.0)
     dark = colour @ [0.2126, 0.7152, 0.0722] < 0.25  # luminance
     other = 0.35 * colour + 0.5 if dark else 0.16 * colour
