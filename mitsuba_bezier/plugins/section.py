@@ -9,7 +9,6 @@ nothing else is.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -77,12 +76,6 @@ def read_section(props: mi.Properties) -> tuple[np.ndarray | None, int, int]:
         if name in props:
             del props[name]
     return plane, body, cap
-
-
-def _shifted(leaves: Leaves, first: int) -> Leaves:
-    if hasattr(leaves, "of_patches"):
-        return leaves.of_patches(first + np.arange(int(leaves.patch.max(initial=-1)) + 1))
-    return replace(leaves, patch=leaves.patch + first)
 
 
 class Section:
@@ -168,7 +161,8 @@ class Section:
             for k in members[shapes[cap].body]:
                 settings = LeafSettings(sections=shapes[k].trims is None)
                 moved = shapes[k].patches.transform(move)
-                leaves.append(_shifted(build_leaves(moved, settings), len(own)))
+                own_leaves = build_leaves(moved, settings)
+                leaves.append(own_leaves.of_patches(len(own) + np.arange(len(moved))))
                 trims.append(shapes[k].trims or Trims.none(len(moved)))
                 own += range(first[k], first[k] + len(moved))
         joined, cells = Leaves.join(leaves), None
