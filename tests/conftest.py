@@ -84,18 +84,23 @@ def python() -> Callable[..., CompletedProcess[str]]:
     return run
 
 
-@pytest.fixture(scope="session")
+# for one module only: as long as it runs, playwright's event loop is in the way of others
+@pytest.fixture(scope="module")
 def chromium_browser():
-    """One headless Chromium for all reports; skipped without one, but an error under ``CI``."""
+    """One headless Chromium for the reports; skipped without one, but an error under ``CI``."""
     import os
+    from importlib.util import find_spec
 
-    import chromium
+    import browser
 
-    program = chromium.find()
-    if program is None:
-        message = "reports were not tested in a browser: no Chromium on the PATH"
+    program = browser.find()
+    missing = "no Chromium on the PATH" if program is None else ""
+    if find_spec("playwright") is None:
+        missing = "no playwright (pip install '.[test]')"
+    if program is None or missing:
+        message = f"reports were not tested in a browser: {missing}"
         if os.environ.get("CI", "").lower() in ("1", "true"):
             pytest.fail(f"{message}, which this environment (CI is set) must have")
         pytest.skip(message)
-    with chromium.Chromium(program) as browser:
-        yield browser
+    with browser.Browser(program) as started:
+        yield started

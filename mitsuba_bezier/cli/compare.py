@@ -6,6 +6,7 @@ import argparse
 import json
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,7 +55,14 @@ def add_parser(subparsers: Any) -> None:
     add = parser.add_argument
     add("reference", metavar="A", help="reference image or folder")
     add("test", metavar="B", help="image or folder to be tested")
-    add("--html", metavar="FILE", help="write a report to look at, one self-contained page")
+    add("--html", metavar="FILE", help="write a report to look at")
+    add(
+        "--html-form",
+        choices=("auto", "page", "folder"),
+        default="auto",
+        help="all of it in one page, pictures in a folder FILE_files beside it, or one page up to "
+        "20 MB (auto)",
+    )
     add("--json", metavar="FILE", help="write the numbers; '-' for standard output")
     add("--only", metavar="PATTERN", default="*", help="compare only images of such names")
     limits = parser.add_argument_group("limits (over those of --thresholds)")
@@ -83,6 +91,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare, print the table, write the files; return 0, 1 or 2."""
     from ..verification import comparison, report
+    from ..verification.origin import commit_of, machine
     from ..verification.records import without_folders
     from ..verification.thresholds import Thresholds
 
@@ -98,6 +107,7 @@ def run(args: argparse.Namespace) -> int:
         thresholds = Thresholds(flags=flags)
 
     found, entries = [], []
+    started = time.perf_counter()
     for result in comparison.compare_paths(
         args.reference, args.test, thresholds, args.spp, only=args.only
     ):
@@ -108,13 +118,23 @@ def run(args: argparse.Namespace) -> int:
         del result  # only one pair of images is in memory at a time
 
     outcome = [data for data, _ in found]
+    note = ""
     if args.html:
-        report.write_report(
+        note = report.write_report(
             args.html,
             entries,
             "Comparison of images",
             f"Reference: {Path(args.reference).name}, test: {Path(args.test).name}",
             without_folders(shlex.join(args.argv)),
+            run={
+                **commit_of(Path()),
+                "machine": machine(),
+                "seconds": round(time.perf_counter() - started, 2),
+                "root": ".",
+                "report": without_folders(args.html),
+                "accept": True,
+            },
+            form=args.html_form,
         )
     if args.json == "-":
         print(json.dumps(outcome, indent=2))  # in ASCII, whatever the locale
@@ -123,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
             _write_json(args.json, outcome)
         _print(outcome)
         if args.html:
-            print(f"report: {args.html}")
+            print(f"report: {args.html}" + (f"\nreport: {note}" if note else ""))
     states = {state for _, state in found}
     return 2 if "error" in states else 1 if "fail" in states else 0
 

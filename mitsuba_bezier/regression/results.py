@@ -25,15 +25,15 @@ __all__ = ["write_results"]
 RESULTS = "results.json"
 
 
-def write_results(own: Settings, records: Sequence[Record], command: str) -> Path:
-    """Write ``results.json`` and the report; return where the report is.
+def write_results(own: Settings, records: Sequence[Record], command: str) -> tuple[Path, str]:
+    """Write ``results.json`` and the report; return where the report is, and a note.
 
     Raises
     ------
     FileFormatError
         If a file cannot be written.
     """
-    run = {
+    run: dict[str, Any] = {
         "made": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "version": __version__,
         "root": relative(own.root, own.artifacts.folder),
@@ -47,20 +47,24 @@ def write_results(own: Settings, records: Sequence[Record], command: str) -> Pat
     own.artifacts.write(RESULTS, text.encode("utf-8", "backslashreplace"))
     entries = [_entry(record, own) for record in records]
     target = own.report
-    page = report.render_report(
+    run |= {
+        "root": relative(own.root, target.parent),
+        "report": relative(target, own.root),
+        "accept": True,
+    }
+    note = report.write_report(
+        target,
         entries,
         "Render regression",
         f"Tests below {own.root.name}",
         command,
         by_name=False,
-        run={**run, "root": relative(own.root, target.parent)},
-    ).encode("utf-8", "backslashreplace")
-    if own.config.getoption("--bezier-report"):
-        from .._files import write_file
-
-        write_file(target, page, make_folders=True)
-        return target
-    return own.artifacts.write(target.name, page)
+        run=run,
+        form=own.form,
+        write=None if own.config.getoption("--bezier-report") else own.artifacts.write,
+    )
+    # artefacts may have gone to another folder: the report is where they are
+    return own.report, note
 
 
 def _entry(record: Record, own: Settings) -> Any:
@@ -76,6 +80,13 @@ def _entry(record: Record, own: Settings) -> Any:
         except BezierError as error:  # it was there when the test ran
             result = Comparison(record.title, a, b, error=str(error))
     found = report.entry(result, record.command)
+    lone = "reference" if record.state == "removed" else "test"
+    picture = a if lone == "reference" else folder / (record.candidate or record.image)
+    if not found.panels and record.state in ("new", "removed", "error") and picture.is_file():
+        try:
+            found = replace(found, panels=report.single(read_image(picture), lone))
+        except BezierError:
+            pass  # the message says what is wrong
     state = {"unchanged": "pass", "accepted": "pass", "removed": "pass", "changed": "fail"}
     small = base64.b64decode(record.thumbnail) if record.thumbnail else None
     place = own.report.parent

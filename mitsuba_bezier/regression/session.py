@@ -157,8 +157,8 @@ class Collector:
         command = without_folders(
             shlex.join(["pytest", *map(str, self._config.invocation_params.args)]), [own.root]
         )
-        path = write_results(own, records, command)
-        self._lines.append(f"report: {path}")
+        path, note = write_results(own, records, command)
+        self._lines += [f"report: {path}", *([f"report: {note}"] if note else [])]
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Tell the user what is worth knowing, and where the report is."""

@@ -40,6 +40,13 @@ def add_options(parser: pytest.Parser) -> None:
         metavar="FILE",
         help="write the report there, with the pictures of what passes, too",
     )
+    add(
+        "--bezier-report-form",
+        choices=("auto", "page", "folder"),
+        default=None,
+        help="all of the report in one page, pictures in a folder beside it, or one page if it is "
+        "not too large (auto)",
+    )
     ini = parser.addini
     ini(
         "bezier_reference_dir",
@@ -60,6 +67,7 @@ def add_options(parser: pytest.Parser) -> None:
         type="bool",
         default=True,
     )
+    ini("bezier_report_form", "auto, page or folder: see --bezier-report-form", default="auto")
     ini(
         "bezier_strict",
         "fail tests that cannot fail, show nothing, or have limits below the noise (false)",
@@ -101,6 +109,12 @@ class Settings:
     def candidates(self) -> bool:
         """Whether what changed is rendered as a reference would be."""
         return bool(self.config.getini("bezier_candidates"))
+
+    @property
+    def form(self) -> str:
+        """The form of the report."""
+        chosen = self.config.getoption("--bezier-report-form")
+        return str(chosen or self.config.getini("bezier_report_form"))
 
     @property
     def report(self) -> Path:

@@ -19,6 +19,7 @@ __all__ = [
     "false_color",
     "gradient",
     "jpeg",
+    "mapping",
     "show",
     "thumbnail",
     "thumbnail_jpeg",
@@ -94,6 +95,23 @@ def to_srgb8(linear: np.ndarray) -> np.ndarray:
     return np.rint(curve * 255).astype(np.uint8)
 
 
+def mapping(
+    reference: np.ndarray, encoding: str, is_color: bool, exposure: float | None = None
+) -> tuple[str, float, float]:
+    """Return how the values of a layer become a picture.
+
+    ``"display"``: as they are; ``"srgb"``: times two to the power of the second, then the sRGB
+    curve; ``"linear"``: from black, the second, to white, the third.
+    """
+    if is_color and encoding == "srgb":
+        return "display", 0.0, 1.0
+    if is_color:
+        return "srgb", auto_exposure(reference) if exposure is None else exposure, 0.0
+    finite = reference[np.isfinite(reference)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return "linear", low, high
+
+
 def show(
     reference: np.ndarray,
     test: np.ndarray,
@@ -102,6 +120,8 @@ def show(
     exposure: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return both images as RGB of 8 bits, mapped alike, and a caption that tells how.
+
+    The mapping is that of `mapping`.
 
     Parameters
     ----------
@@ -115,16 +135,14 @@ def show(
         In stops, for HDR colours; by default `auto_exposure`.
     """
     images = [image[..., :3] for image in (reference, test)]
-    if is_color and encoding == "srgb":
-        shown, caption = images, "display values"
-        pictures = [np.rint(np.clip(np.nan_to_num(i), 0, 1) * 255).astype(np.uint8) for i in shown]
-    elif is_color:
-        stops = auto_exposure(images[0]) if exposure is None else exposure
-        caption = f"sRGB, exposure {stops:+g} EV"
-        pictures = [to_srgb8(np.nan_to_num(image * 2.0**stops)) for image in images]
+    kind, low, high = mapping(images[0], encoding, is_color, exposure)
+    if kind == "display":
+        caption = "display values"
+        pictures = [np.rint(np.clip(np.nan_to_num(i), 0, 1) * 255).astype(np.uint8) for i in images]
+    elif kind == "srgb":
+        caption = f"sRGB, exposure {low:+g} EV"
+        pictures = [to_srgb8(np.nan_to_num(image * 2.0**low)) for image in images]
     else:
-        finite = images[0][np.isfinite(images[0])]
-        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
         caption = f"linear, black {low:.4g}, white {high:.4g}"
         scale = 1 / (high - low) if high > low else 1.0
         pictures = [

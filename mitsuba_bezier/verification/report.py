@@ -1,16 +1,20 @@
-"""One self-contained HTML page that shows compared images: no network, no build step.
+"""An HTML page that shows compared images: no network, no build step.
 
-The page is ``report_template.html`` with the data put in as JSON, pictures as PNG data URIs. An
-`Entry` can describe any pair of images, so that other checks than `comparison` can use it.
+The page is ``report_template.html`` with the data put in as JSON. Pictures and numbers are in the
+page itself, as data URIs, or in files beside it. An `Entry` can describe any pair of images, for
+other checks than `comparison`, too.
 """
 
 from __future__ import annotations
 
 import base64
+import contextlib
 import datetime
+import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
@@ -22,9 +26,13 @@ from .._files import write_file
 from .._version import __version__
 from . import png, preview
 from .comparison import Check, Comparison, Layer
+from .images import Image
 from .records import Record, without_folders
+from .values import Values, pack
+from .ztest import comparable_layers
 
 __all__ = [
+    "LARGEST_PAGE",
     "Entry",
     "HeatMap",
     "Panel",
@@ -34,8 +42,15 @@ __all__ = [
     "heat_map",
     "panel",
     "render_report",
+    "single",
     "write_report",
 ]
+
+#: A page of more bytes takes browsers seconds to open.
+LARGEST_PAGE = 20_000_000
+
+#: Names of the files beside a page.
+_OWN = re.compile(r"[0-9a-f]{16}\.(png|jpeg|js)")
 
 _ORDER = {"fail": 0, "error": 1, "pass": 2}
 _DATA = "__REPORT_DATA__"
@@ -89,6 +104,12 @@ class Panel:
         Of the differences.
     marked : (int, int) or None
         Column and row of a pixel to mark, the one that differs most.
+    first : int
+        The map that is shown first: that of the measure that failed first.
+    values : Values or None
+        The numbers, for the cursor, exposure, channels and selections.
+    single : str
+        ``"reference"`` or ``"test"`` where there is only that picture.
     """
 
     title: str
@@ -100,6 +121,9 @@ class Panel:
     checks: list[Check]
     histogram: preview.Histogram | None = None
     marked: tuple[int, int] | None = None
+    first: int = 0
+    values: Values | None = None
+    single: str = ""
 
 
 @dataclass(frozen=True)
@@ -196,6 +220,9 @@ def panel(layer: Layer, encoding: str = "linear", exposure: float | None = None)
         worst, top = np.max(np.abs(layer.z.z), axis=-1), layer.z.critical
         note = f"|Z| of the worst channel; a pixel fails from {top:.3g} on"
         maps.append(heat_map("Z-score", worst, 0, top, "magma", note))
+    titles = {"Z-test": "Z-score", "FLIP": "FLIP"}
+    failed = [titles.get(c.name, "absolute") for c in layer.checks if c.passed is False]
+    first = [m.title for m in maps].index(failed[0]) if failed[:1] != [] else 0
     if layer.metrics.not_finite:
         caption += "; magenta, in maps green: not finite"
     names = [name.rpartition(".")[2] for name in layer.channels]
@@ -209,7 +236,38 @@ def panel(layer: Layer, encoding: str = "linear", exposure: float | None = None)
         layer.checks,
         preview.difference_histogram(difference, names),
         layer.metrics.max_at[:2] if layer.metrics.max_abs > 0 else None,
+        first,
+        pack(
+            layer.reference,
+            np.where(np.isfinite(difference), difference, layer.test - layer.reference),
+            names,
+            preview.mapping(layer.reference[..., :3], encoding, layer.name == "", exposure),
+        ),
     )
+
+
+def single(image: Image, which: str, exposure: float | None = None) -> list[Panel]:
+    """Return how an image without a counterpart is shown, layer by layer."""
+    panels = []
+    for name, channels in comparable_layers(image).items():
+        pixels = image.stack(channels)
+        picture, _, caption = preview.show(pixels, pixels, image.encoding, name == "", exposure)
+        shown = preview.mapping(pixels[..., :3], image.encoding, name == "", exposure)
+        last = [channel.rpartition(".")[2] for channel in channels]
+        panels.append(
+            Panel(
+                name or "colour",
+                (picture.shape[1], picture.shape[0]),
+                data := png.encode(picture),
+                data,
+                caption,
+                [],
+                [],
+                values=pack(pixels, np.zeros_like(pixels), last, shown),
+                single=which,
+            )
+        )
+    return panels
 
 
 def entry(comparison: Comparison, command: str = "", exposure: float | None = None) -> Entry:
@@ -221,7 +279,7 @@ def entry(comparison: Comparison, command: str = "", exposure: float | None = No
     a, b = comparison.attributes
     standard = ("pixelAspectRatio", "screenWindowWidth")  # every EXR file has them
     facts += [
-        (key, str(a.get(key, "")), str(b.get(key, "")))
+        (key, _short(str(a.get(key, ""))), _short(str(b.get(key, ""))))
         for key in sorted(a.keys() | b.keys())
         if key not in standard
     ]
@@ -237,6 +295,16 @@ def entry(comparison: Comparison, command: str = "", exposure: float | None = No
         )
         small = png.encode(preview.thumbnail(pictures[1]))
     return Entry(comparison.name, comparison.state, panels, comparison.error, command, facts, small)
+
+
+def _short(text: str) -> str:
+    """Return a list of consecutive numbers, such as seeds, by its ends."""
+    words = text.split()
+    if len(words) > 4 and all(word.isdecimal() for word in words):
+        numbers = [int(word) for word in words]
+        if numbers == list(range(numbers[0], numbers[0] + len(numbers))):
+            return f"{words[0]} to {words[-1]}"
+    return text
 
 
 def from_record(
@@ -269,9 +337,31 @@ def from_record(
     )
 
 
-def _uri(picture: bytes) -> str:
-    kind = "jpeg" if picture.startswith(b"\xff\xd8") else "png"
-    return f"data:image/{kind};base64," + base64.b64encode(picture).decode()
+class _Store:
+    """Where pictures and numbers go: into the page, or into files beside it.
+
+    Files have names of their contents, so that those of an older page stay what they are.
+    """
+
+    def __init__(self, folder: str = "") -> None:
+        self.folder = folder
+        self.files: dict[str, bytes] = {}
+        self.bytes = 0
+
+    def put(self, data: bytes, kind: str = "") -> str:
+        """Return the source of a picture (PNG or JPEG), or of what is to be run."""
+        kind = kind or ("jpeg" if data.startswith(b"\xff\xd8") else "png")
+        self.bytes += len(data) * 4 // 3
+        if not self.folder:
+            prefix = "" if kind == "js" else f"data:image/{kind};base64,"
+            return prefix + base64.b64encode(data).decode()
+        number = hashlib.sha256(data).hexdigest()[:16]
+        if kind == "js":
+            text = base64.b64encode(data).decode()
+            data = f'reportValues("{number}","{text}")'.encode()
+        name = f"{number}.{kind}"
+        self.files[name] = data
+        return f"{self.folder}/{name}"
 
 
 def _number(value: float | None) -> float | None:
@@ -279,20 +369,28 @@ def _number(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def _panel_data(panel: Panel) -> dict[str, Any]:
+def _check_data(check: Check) -> dict[str, Any]:
+    numbers = {k: _number(getattr(check, k)) for k in ("value", "limit", "expected")}
+    return {**asdict(check), **numbers}
+
+
+def _panel_data(panel: Panel, store: _Store) -> dict[str, Any]:
+    values = panel.values
     return {
         "title": panel.title,
         "width": panel.size[0],
         "height": panel.size[1],
-        "reference": _uri(panel.reference),
+        "single": panel.single,
+        "reference": store.put(panel.reference),
         # the page shows the reference for both if they are equal
-        "test": None if panel.test == panel.reference else _uri(panel.test),
+        "test": None if panel.test == panel.reference else store.put(panel.test),
         "caption": panel.caption,
         "marked": panel.marked,
+        "first": panel.first,
         "maps": [
             {
                 "title": m.title,
-                "picture": _uri(m.picture),
+                "picture": store.put(m.picture),
                 "low": m.low,
                 "high": m.high,
                 "gradient": preview.gradient(m.colormap),
@@ -300,11 +398,16 @@ def _panel_data(panel: Panel) -> dict[str, Any]:
             }
             for m in panel.maps
         ],
-        "checks": [
-            {**asdict(c), "value": _number(c.value), "limit": _number(c.limit)}
-            for c in panel.checks
-        ],
+        "checks": [_check_data(c) for c in panel.checks],
         "histogram": None if panel.histogram is None else asdict(panel.histogram),
+        "values": None
+        if values is None
+        else {
+            "source": store.put(values.data, "js"),
+            "channels": values.channels,
+            "scales": values.scales,
+            "shown": values.shown,
+        },
     }
 
 
@@ -325,7 +428,7 @@ def render_report(
     by_name: bool = True,
     run: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the page as text, failures first.
+    """Return the page as text, pictures and all, failures first.
 
     Parameters
     ----------
@@ -340,8 +443,24 @@ def render_report(
     by_name : bool
         Whether entries of one state are sorted by name; else they stay as given.
     run : mapping, optional
-        Commit, branch, machine, seconds; and ``root``, the folder that references are relative to.
+        ``commit``, ``branch``, ``subject``, ``changed``, ``machine``, ``seconds``; ``root``, the
+        folder that references are relative to; ``report``, what commands call the page;
+        ``accept``: whether ``mitsuba-bezier accept`` can do something with it.
     """
+    about = (title, subtitle, command, wording, by_name, run)
+    return _page(entries, _Store(), *about)
+
+
+def _page(
+    entries: Sequence[Entry],
+    store: _Store,
+    title: str,
+    subtitle: str,
+    command: str,
+    wording: Wording | None,
+    by_name: bool,
+    run: Mapping[str, Any] | None,
+) -> str:
     data = {
         "words": asdict(wording or Wording()),
         "title": title,
@@ -358,17 +477,21 @@ def render_report(
                 "summary": e.summary,
                 "command": e.command,
                 "facts": e.facts,
-                "thumbnail": None if e.thumbnail is None else _uri(e.thumbnail),
+                "thumbnail": None if e.thumbnail is None else store.put(e.thumbnail),
                 "change": e.change,
                 "notes": e.notes,
                 "size": e.size,
                 "record": e.record,
-                "panels": [_panel_data(p) for p in e.panels],
+                "panels": [_panel_data(p, store) for p in e.panels],
             }
             for e in sorted(entries, key=lambda e: (_ORDER[e.state], e.name if by_name else ""))
         ],
     }
     template = files(__package__).joinpath("report_template.html").read_text(encoding="utf-8")
+    if store.folder:  # pages opened as files are no origin of their own
+        template = template.replace("img-src data:", "img-src data: file: 'self'").replace(
+            "script-src 'unsafe-inline'", "script-src 'unsafe-inline' file: 'self'"
+        )
     # within <script>, no text may look like a tag
     text = json.dumps(data, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     before, after = template.split(_DATA)
@@ -383,14 +506,71 @@ def write_report(
     command: str = "",
     wording: Wording | None = None,
     by_name: bool = True,
-) -> None:
+    run: Mapping[str, Any] | None = None,
+    form: str = "auto",
+    write: Callable[[str, bytes], object] | None = None,
+) -> str:
     """Write the page of `render_report`; folders on the way are made.
+
+    The pictures are written first, under new names, and the page last: whatever fails on the way,
+    an older report is as it was.
+
+    Parameters
+    ----------
+    path, entries, title, subtitle, command, wording, by_name, run
+        As for `render_report`.
+    form : str
+        ``"page"``: all in one page; ``"folder"``: pictures in a folder ``<name>_files`` beside it;
+        ``"auto"``: one page if it has no more than `LARGEST_PAGE` bytes.
+    write : callable, optional
+        Writes a file, given its name relative to the folder of the page, and its bytes.
+
+    Returns
+    -------
+    str
+        What the user should be told, or nothing.
 
     Raises
     ------
     FileFormatError
-        If the file cannot be written.
+        If a file cannot be written.
     """
-    text = render_report(entries, title, subtitle, command, wording, by_name)
-    # a file name may hold bytes that are no text
-    write_file(path, text.encode("utf-8", "backslashreplace"), make_folders=True)
+    target = Path(path)
+    about = (title, subtitle, command, wording, by_name, run)
+    note = ""
+    store = _Store(f"{target.stem}_files" if form == "folder" else "")
+    text = _page(entries, store, *about)
+    if form != "folder" and len(text) > LARGEST_PAGE:
+        size = f"{len(text) / 1e6:.0f} MB, more than {LARGEST_PAGE / 1e6:.0f}"
+        if form == "page":
+            note = f"one page has {size}: use the form of a folder"
+        else:
+            store = _Store(f"{target.stem}_files")
+            text = _page(entries, store, *about)
+            note = f"one page would have {size}: its pictures are in {store.folder}/ beside it"
+    own = target.parent / f"{target.stem}_files"
+    before = set(os.listdir(own)) if own.is_dir() else set()
+
+    def default(name: str, data: bytes) -> None:
+        write_file(target.parent / name, data, make_folders=True)
+
+    put = write or default
+    try:
+        for name, data in store.files.items():
+            put(f"{store.folder}/{name}", data)
+        # a file name may hold bytes that are no text
+        put(target.name, text.encode("utf-8", "backslashreplace"))
+    except BaseException:
+        _discard(own, store.files.keys() - before)
+        raise
+    _discard(own, {n for n in before if _OWN.fullmatch(n)} - store.files.keys())
+    return note
+
+
+def _discard(folder: Path, names: Iterable[str]) -> None:
+    """Remove files of ours, and their folder if nothing else is in it."""
+    for name in names:
+        with contextlib.suppress(OSError):
+            (folder / name).unlink()
+    with contextlib.suppress(OSError):
+        folder.rmdir()

@@ -104,11 +104,11 @@ def test_the_worst_pixel_is_marked_and_does_not_darken_the_rest(data):
 def browser(chromium_browser, page):
     chromium_browser.scheme("light")
     chromium_browser.resize(1280, 900)
-    chromium_browser.events.clear()
+    chromium_browser.clear()
     chromium_browser.open(page)
     yield chromium_browser
-    assert not [e for e in chromium_browser.events if e[0] == "Runtime.exceptionThrown"]
-    urls = [e[1]["request"]["url"] for e in chromium_browser.events if "requestWillBeSent" in e[0]]
+    assert not chromium_browser.errors
+    urls = chromium_browser.requests
     assert not [url for url in urls if not url.startswith(("data:", "file:"))]
 
 
