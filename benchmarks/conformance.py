@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
+from mitsuba_bezier.leaves.records import Leaves
 from mitsuba_bezier.oracles.conformance import read_set
 from mitsuba_bezier.oracles.conformance_score import answer, score
 
@@ -44,13 +46,21 @@ def _first(t: np.ndarray, valid: np.ndarray) -> Hits:
     return [[x] if hit else [] for x, hit in zip(t.astype(float).tolist(), valid.tolist())]
 
 
+@cache
+def _leaves(net: bytes, rows: int) -> Leaves | None:
+    """Return the leaves of a patch, for both precisions; cusps and base points take seconds."""
+    try:
+        return build_leaves(BezierTriangles(np.frombuffer(net).reshape(rows, 4)))
+    except BezierError:
+        return None
+
+
 def ours(number: Any) -> Callable[[np.ndarray, np.ndarray, np.ndarray], Hits | None]:
     """Return our kernel, in `drjit.llvm.Float` or `Float64`."""
 
     def run(net: np.ndarray, o: np.ndarray, d: np.ndarray) -> Hits | None:
-        try:
-            leaves = build_leaves(BezierTriangles(net))
-        except BezierError:
+        leaves = _leaves(net.tobytes(), len(net))
+        if leaves is None:
             return None
         columns = [[number(np.ascontiguousarray(a[:, k])) for k in range(3)] for a in (o, d)]
         hit = intersect(build_structure(leaves, number), *columns, number(np.inf))

@@ -2,6 +2,9 @@
 
 Order: the wheels ``karellen-llvm-core`` and ``llvm-nanobind``, then the newest library of the
 system from `MINIMUM` up. Nothing here imports Dr.Jit or loads LLVM itself.
+
+The table of package managers is kept although such tables age: it is one line a manager, and who
+has no LLVM reads the command to type in the error itself, without a page to look up.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from subprocess import CompletedProcess
+from types import ModuleType
 
 import pytest
 from hypothesis import settings
@@ -35,7 +36,9 @@ TIERS = {
     "regression": "render",
 }
 _NEEDS = re.compile(
-    r"^\s*(from|import) (drjit|mitsuba\b|(leaf|mitsuba|render|derivative|lecture)_cases)", re.M
+    r"^\s*(from|import) "
+    r"(drjit|mitsuba\b|(backend|leaf|mitsuba|render|derivative|lecture)_cases)",
+    re.M,
 )
 
 
@@ -50,6 +53,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 tier = "kernel"
             known[path] = tier
         item.add_marker(known[path])
+
+
+@pytest.fixture(scope="session")
+def backend() -> ModuleType:
+    """Dr.Jit's array types and Mitsuba's variant of this run: see `backend_cases`."""
+    import backend_cases
+
+    return backend_cases
 
 
 @pytest.fixture(scope="session")

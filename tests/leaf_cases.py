@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from drjit.llvm import Float
+from backend_cases import Float
 from geometry_cases import rotation
 
 import mitsuba_bezier as mb

@@ -225,6 +225,11 @@ def _de_casteljau_matrix(n: int, uvw: np.ndarray) -> np.ndarray:
     return out
 
 
+#: Up to this degree steps of de Casteljau are products of matrices. Their rows have three entries
+#: each, so that at degree 20 those products take a hundred times as long as sums of rows.
+_DENSE = 10
+
+
 def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
     """Return the ``(K, K)`` matrix that takes a net to the net over a domain triangle.
 
@@ -240,6 +245,8 @@ def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
         sums to 1 for an affine change and may have any non-zero sum for a projective one.
     """
     corners = np.asarray(corners, dtype=np.float64)
+    if n > _DENSE:
+        return subdivide(np.eye(size(n)), corners[None])[0]
     steps = [[_de_casteljau_matrix(m, c) for c in corners] for m in range(1, n + 1)]
 
     @cache
@@ -255,7 +262,7 @@ def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
 
 
 def subdivide(net: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the nets over domain triangles; as `subdivision_matrix`, without the matrices.
+    """Return the nets over domain triangles, as `subdivision_matrix`, but without a matrix.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry import checks
 
 __all__ = ["AnalyticHits", "cone", "cylinder", "plane", "quadric", "sphere", "torus"]
 
@@ -57,18 +58,12 @@ def _rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray]:
     return o, d
 
 
-def _vector(value: Any, parameter: str, unit: bool = False) -> np.ndarray:
-    out = np.asarray(value, dtype=np.float64)
-    if out.shape != (3,) or not np.isfinite(out).all() or (unit and not out.any()):
-        kind = "a vector that is not zero" if unit else "three finite numbers"
-        raise GeometryError.expected(parameter, kind, f"{value}")
-    return out / np.linalg.norm(out) if unit else out
-
-
-def _positive(value: float, parameter: str) -> float:
-    if not 0 < value < np.inf:
-        raise GeometryError.expected(parameter, "a positive number", value)
-    return float(value)
+def _direction(parameter: str, value: Any) -> np.ndarray:
+    """Return a unit vector."""
+    out = checks.vector(parameter, value)
+    if not out.any():
+        raise GeometryError.expected(parameter, "a vector that is not zero", f"{value}")
+    return out / np.linalg.norm(out)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -168,7 +163,7 @@ def sphere(center: Any, radius: float, origins: Any, directions: Any) -> Analyti
     GeometryError
         If a parameter is unusable.
     """
-    c, r = _vector(center, "center"), _positive(radius, "radius")
+    c, r = checks.vector("center", center), checks.length("radius", radius)
     o, d = _rays(origins, directions)
     length = np.linalg.norm(d, axis=1)
     unit = d / length[:, None]
@@ -219,7 +214,11 @@ def cylinder(point: Any, axis: Any, radius: float, origins: Any, directions: Any
     GeometryError
         If a parameter is unusable.
     """
-    p, a, r = _vector(point, "point"), _vector(axis, "axis", True), _positive(radius, "radius")
+    p, a, r = (
+        checks.vector("point", point),
+        _direction("axis", axis),
+        checks.length("radius", radius),
+    )
     o, d = _rays(origins, directions)
     return quadric(_axial(np.zeros(3), a, 1.0, 0.0, -r * r), o - p, d)
 
@@ -246,7 +245,7 @@ def cone(apex: Any, axis: Any, slope: float, origins: Any, directions: Any) -> A
     GeometryError
         If a parameter is unusable.
     """
-    p, a, k = _vector(apex, "apex"), _vector(axis, "axis", True), _positive(slope, "slope")
+    p, a, k = checks.vector("apex", apex), _direction("axis", axis), checks.length("slope", slope)
     o, d = _rays(origins, directions)
     return quadric(_axial(np.zeros(3), a, 1.0, -k * k, 0.0), o - p, d)
 
@@ -271,7 +270,7 @@ def plane(point: Any, normal: Any, origins: Any, directions: Any) -> AnalyticHit
     GeometryError
         If a parameter is unusable.
     """
-    p, n = _vector(point, "point"), _vector(normal, "normal", True)
+    p, n = checks.vector("point", point), _direction("normal", normal)
     o, d = _rays(origins, directions)
     rate = d @ n
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -355,8 +354,8 @@ def torus(
     GeometryError
         If a parameter is unusable.
     """
-    c, a = _vector(center, "center"), _vector(axis, "axis", True)
-    big, small = _positive(major, "major"), _positive(minor, "minor")
+    c, a = checks.vector("center", center), _direction("axis", axis)
+    big, small = checks.length("major", major), checks.length("minor", minor)
     o, d = _rays(origins, directions)
     length = np.linalg.norm(d, axis=1)
     unit = d / length[:, None]

@@ -21,7 +21,7 @@ import os
 import stat
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -69,19 +69,6 @@ class Limits:
     def any_number(self) -> bool:
         """Whether a limit on a distance is given."""
         return any(v is not None for v in (self.rmse, self.relative_mse, self.max_abs, self.flip))
-
-    def as_flags(self) -> list[str]:
-        """Return the command-line flags of ``mitsuba-bezier compare`` that say the same."""
-        flags = []
-        for key, value in asdict(self).items():
-            name = f"--{key.replace('_', '-')}"
-            if value == getattr(Limits(), key):
-                continue
-            if key == "z_test":
-                flags.append(name if value else "--no-z-test")
-            else:
-                flags += [name] if key in _SWITCHES else [name, f"{value:g}"]
-        return flags
 
 
 def limits_from(values: Mapping[str, Any], where: str, base: Limits | None = None) -> Limits:

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
@@ -23,7 +24,7 @@ COVERS = ("octants", "tetrahedral", "lunes")
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def union(boxes: np.ndarray) -> np.ndarray:

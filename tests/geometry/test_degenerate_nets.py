@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
@@ -20,7 +21,7 @@ GOOD = [[-1, -1, 0.2], [1, -1, 0.2], [0, 1, 0.2]]
 
 @pytest.fixture(autouse=True)
 def _variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def planar(degree: int, corners: Any, weight: float = 1.0) -> np.ndarray:

@@ -7,6 +7,7 @@ from math import comb
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 from mitsuba_bezier.errors import GeometryError
 from mitsuba_bezier.geometry import bernstein
@@ -50,7 +51,7 @@ def polygon(*points) -> list[np.ndarray]:
 
 @pytest.fixture(autouse=True)
 def variant():
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 SQUARE = polygon((0, 0), (1, 0), (1, 1), (0, 1))

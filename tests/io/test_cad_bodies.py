@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import pytest
+from backend_cases import VARIANT
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -23,7 +24,7 @@ def test_rays_equal_opencascade(tmp_path, name):
     pytest.importorskip("OCP")
     import cad_bodies
 
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     bodies = cad_bodies.bodies()
     path = cad_bodies.write(bodies[name](), tmp_path / "body.step")
     found = cad_bodies.compare(path, bodies[name.removesuffix(", as NURBS")](), 250, False)

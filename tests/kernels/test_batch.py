@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from drjit.llvm import Float, UInt
+from backend_cases import VARIANT, Float, UInt
 from mitsuba_cases import ball_rays, bezier, camera_rays, ray_of
 
 import mitsuba_bezier as mb
@@ -27,7 +27,7 @@ COUNT = 20_011  # no multiple of anything
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 import pytest
-from drjit.llvm import Float, UInt
+from backend_cases import Float, UInt
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein

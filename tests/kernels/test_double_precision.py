@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drjit.llvm import Float64
+from backend_cases import Float64
 from leaf_cases import SPHERE, rays, traced
 
 import mitsuba_bezier as mb

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import drjit as dr
-import drjit.llvm as plain
 import numpy as np
 import pytest
+from backend_cases import plain
 
 from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.arrays import types_of

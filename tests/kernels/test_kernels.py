@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import drjit as dr
-import drjit.llvm as plain
-import drjit.llvm.ad as llvm
 import numpy as np
 import pytest
+from backend_cases import ad, plain
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
@@ -19,8 +18,8 @@ from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.records import LeafKind, LeafSettings
 
 FLOATS = {
-    "float32": llvm.Float,
-    "float64": llvm.Float64,
+    "float32": ad.Float,
+    "float64": ad.Float64,
     "float32 without derivatives": plain.Float,
     "float64 without derivatives": plain.Float64,
 }
@@ -150,10 +149,10 @@ def test_horner_on_the_monomials_of_a_net():
     monomial = bernstein.monomial_matrix(4) @ patches.control_points[0]
     uv = inner_points(50, seed=4)
     value, d_du, d_dv = net.horner(
-        [llvm.Float64(float(c)) for c in monomial.ravel()],
+        [ad.Float64(float(c)) for c in monomial.ravel()],
         4,
-        llvm.Float64(uv[:, 0]),
-        llvm.Float64(uv[:, 1]),
+        ad.Float64(uv[:, 0]),
+        ad.Float64(uv[:, 1]),
     )
     for got, exact in zip((value, d_du, d_dv), patches.partials(0, uv)):
         # the change of basis has entries up to 24, cancelled by others
@@ -226,7 +225,7 @@ def test_rays_through_points_of_a_net(n, kind):
 def test_polynomial_nets_store_no_weights(n, weight):
     patches = random_nets(n, 3, seed=50 + n, weights=(1.0, 1.0))
     patches = mb.BezierTriangles(weight * patches.control_points)
-    off, structure = check_hits(patches, llvm.Float, n)
+    off, structure = check_hits(patches, ad.Float, n)
     assert off < 2e-7  # as above
     assert structure.components == 3
 
@@ -246,9 +245,9 @@ def test_grazing_rays(n):
     d = (along + slope[:, None] * normal).astype(np.float32)
     o = (target - d * rng.uniform(0.5, 2, (count, 1))).astype(np.float32)
     d = (target - o).astype(np.float32)
-    structure = build_structure(build_leaves(patches), llvm.Float)
-    columns = [[llvm.Float(np.ascontiguousarray(a[:, c])) for c in range(3)] for a in (o, d)]
-    hit = intersect(structure, *columns, dr.full(llvm.Float, np.inf, count))
+    structure = build_structure(build_leaves(patches), ad.Float)
+    columns = [[ad.Float(np.ascontiguousarray(a[:, c])) for c in range(3)] for a in (o, d)]
+    hit = intersect(structure, *columns, dr.full(ad.Float, np.inf, count))
     t = np.array(hit.t).astype(np.float64)
     # 1e-3: a rounding of the direction is felt a hundredfold at this slant
     late = ~(t < 1 + 1e-3)
@@ -268,10 +267,8 @@ MISSED = [
 
 @pytest.mark.parametrize(("n", "seed", "o", "d"), MISSED)
 def test_rays_that_were_missed(n, seed, o, d):
-    structure = build_structure(build_leaves(random_nets(n, 3, seed=seed)), llvm.Float)
-    hit = intersect(
-        structure, [llvm.Float(x) for x in o], [llvm.Float(x) for x in d], llvm.Float(np.inf)
-    )
+    structure = build_structure(build_leaves(random_nets(n, 3, seed=seed)), ad.Float)
+    hit = intersect(structure, [ad.Float(x) for x in o], [ad.Float(x) for x in d], ad.Float(np.inf))
     assert hit.t[0] == pytest.approx(1, abs=1e-4)
 
 
@@ -313,7 +310,7 @@ def test_octants_through_their_quadric(kind):
 
 def test_quadrics_as_graph_leaves():
     patches = mb.sphere(cover="tetrahedral").transform(np.diag([1.0, 2.0, 0.5, 1]))
-    off, structure = check_hits(patches, llvm.Float, 1, LeafSettings(closed_form=False))
+    off, structure = check_hits(patches, ad.Float, 1, LeafSettings(closed_form=False))
     assert not structure.has_groups
     assert off < 3e-7
 
@@ -322,7 +319,7 @@ def test_both_kinds_of_leaves_in_one_structure():
     ball = mb.sphere(cover="tetrahedral")
     wavy = random_nets(2, 4, seed=5).transform(np.diag([2.0, 2, 2, 1]))
     both = mb.BezierTriangles(np.concatenate([ball.control_points, wavy.control_points]))
-    off, structure = check_hits(both, llvm.Float, 2)
+    off, structure = check_hits(both, ad.Float, 2)
     assert structure.kinds == {LeafKind.LINEAR, LeafKind.GRAPH_AFFINE}
     assert off < 3e-7
 
@@ -356,13 +353,13 @@ def test_unusual_weights(name, weights):
     cosine = np.einsum("ni,ni->n", patches.normals(which, uv), d) / np.linalg.norm(d, axis=1)
     steep = np.abs(cosine) > 5e-3
     o, d = o[steep], d[steep]
-    structure = build_structure(build_leaves(patches), llvm.Float)
-    columns = [[llvm.Float(np.ascontiguousarray(a[:, c])) for c in range(3)] for a in (o, d)]
-    hit = intersect(structure, *columns, dr.full(llvm.Float, np.inf, len(o)))
+    structure = build_structure(build_leaves(patches), ad.Float)
+    columns = [[ad.Float(np.ascontiguousarray(a[:, c])) for c in range(3)] for a in (o, d)]
+    hit = intersect(structure, *columns, dr.full(ad.Float, np.inf, len(o)))
     t = np.array(hit.t).astype(np.float64)
     late = ~(t < 1 + 1e-3)
     assert not late.any(), f"{late.sum()} of {len(t)} missed, first {o[late][0]}, {d[late][0]}"
-    check_any_hit(structure, llvm.Float, columns, t)
+    check_any_hit(structure, ad.Float, columns, t)
     p = patches.points(np.array(hit.patch), np.stack([np.array(hit.u), np.array(hit.v)], axis=1))
     # (u, v) are float32: near infinity a rounding of them is a long way
     on = np.linalg.norm(p, axis=1) < 20
@@ -372,16 +369,16 @@ def test_unusual_weights(name, weights):
 
 def test_kernels_do_not_depend_on_the_patches():
     # one compilation for all nets of a kind: nothing of a structure is a literal
-    ray = [[llvm.Float([0.2, 0.3]), llvm.Float([0.3, 0.2]), llvm.Float([5.0, 5.0])]]
-    ray.append([llvm.Float([0.0, 0.01]), llvm.Float([0.0, 0.02]), llvm.Float([-1.0, -1.0])])
+    ray = [[ad.Float([0.2, 0.3]), ad.Float([0.3, 0.2]), ad.Float([5.0, 5.0])]]
+    ray.append([ad.Float([0.0, 0.01]), ad.Float([0.0, 0.02]), ad.Float([-1.0, -1.0])])
     used = []
     for seed in range(3):
         patches = random_nets(3, 2 + seed, seed=20 + seed)
-        structure = build_structure(build_leaves(patches), llvm.Float)
+        structure = build_structure(build_leaves(patches), ad.Float)
         dr.eval(structure.nodes, *ray[0], *ray[1])
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
             dr.kernel_history_clear()
-            hit = intersect(structure, *ray, llvm.Float([np.inf, np.inf]))
+            hit = intersect(structure, *ray, ad.Float([np.inf, np.inf]))
             dr.eval(*hit)
             dr.sync_thread()
             kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 import pytest
-from drjit.llvm import Float
+from backend_cases import Float
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein, shapes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 import pytest
-from drjit.llvm import Float, Float64, UInt
+from backend_cases import Float, Float64, UInt
 
 from mitsuba_bezier.kernels.arrays import upload
 from mitsuba_bezier.kernels.records import Record, bits, is_kind

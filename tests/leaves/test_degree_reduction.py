@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import drjit as dr
-import drjit.llvm as plain
 import numpy as np
 import pytest
+from backend_cases import plain
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.kernels.structure import build_structure

@@ -6,7 +6,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from drjit.llvm import Float
+from backend_cases import Float
 from geometry_cases import rotation
 from leaf_cases import (
     HIGH,

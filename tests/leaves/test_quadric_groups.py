@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drjit.llvm import Float
+from backend_cases import Float
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.kernels.structure import build_structure

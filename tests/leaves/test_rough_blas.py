@@ -50,7 +50,7 @@ BODIES = {
     "saddle": mb.hyperbolic_paraboloid,
     "two sheets": mb.hyperboloid_two_sheets,
     "half plane": mb.half_plane,
-    "CAD part": lambda: load_trimmed(MODELS / "cad_part.vtu")[0][::9],
+    "CAD part": lambda: load_trimmed(MODELS / "cad_part.vtu")[0][::40],
 }
 
 

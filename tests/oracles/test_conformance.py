@@ -20,7 +20,7 @@ from mitsuba_bezier.oracles.reference import intersect_all
 def exact(tmp_path_factory):
     """Return the path of a small set with every family."""
     path = tmp_path_factory.mktemp("set") / "set.jsonl"
-    write_set(path, cases(seed=3, degrees=(1, 2, 3, 4), patches=2, rays=6))
+    write_set(path, cases(seed=3, degrees=(1, 2, 3), patches=2, rays=6))
     return path
 
 
@@ -70,9 +70,10 @@ def test_every_family_has_what_it_is_named_for(exact):
             assert np.abs(x).max(axis=1).min() == 0
 
 
-def test_roots_on_quadrics_satisfy_the_equation_to_all_digits(exact):
+def test_roots_on_quadrics_satisfy_the_equation_to_all_digits(exact, tmp_path):
+    write_set(tmp_path / "quartics", cases(3, (4,), 1, 6, ("quadric",)))
     count = 0
-    for row, ray in rays_of(exact):
+    for row, ray in rays_of(exact) + rays_of(tmp_path / "quartics"):
         for root in ray["roots"] if row["family"] == "quadric" else []:
             t = Fraction(root["digits"])
             x = [Fraction(o) + t * Fraction(d) for o, d in zip(ray["origin"], ray["direction"])]
@@ -96,7 +97,7 @@ def test_digits_are_more_than_a_float_has(exact):
 
 
 def test_both_arithmetics_have_the_same_firm_roots(exact, tmp_path):
-    write_set(tmp_path / "float", cases(3, (1, 2, 3, 4), 2, 6), "float64")
+    write_set(tmp_path / "float", cases(3, (1, 2, 3), 2, 6), "float64")
     count = 0
     floats = {json.dumps([r["origin"], r["direction"]]): r for _e, r in rays_of(tmp_path / "float")}
     for _entry, ray in rays_of(exact):
@@ -133,7 +134,7 @@ def test_the_reference_passes(exact, tmp_path):
     head, scores = score(exact, tmp_path / "a")
     assert head["name"] == "reference"
     assert sum(s.missed + s.extra + s.refused for s in scores.values()) == 0
-    assert sum(s.firm for s in scores.values()) > 200
+    assert sum(s.firm for s in scores.values()) > 150
     # the reference loses some roundings in its coefficients
     assert max(max(s.errors, default=0) for s in scores.values()) < 30
 

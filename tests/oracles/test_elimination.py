@@ -124,7 +124,7 @@ def test_a_ray_in_the_patch_is_an_error():
 def test_elimination_and_subdivision_agree(n, signs):
     rng = np.random.default_rng(n)
     nets = wavy(rng, n, patches=3, signs=signs)
-    o, d, patch, _uv, _t = rays_through(rng, nets, 5)
+    o, d, patch, _uv, _t = rays_through(rng, nets, 5 if n < 5 else 2)
     count = 0
     for ray in range(len(o)):
         net = nets.control_points[patch[ray]]
@@ -138,7 +138,7 @@ def test_elimination_and_subdivision_agree(n, signs):
             off = abs(float(root.t) - t) * np.linalg.norm(d[ray])
             assert off < 30 * 2.0**-53 * scale / abs(cosine)
         count += len(exact)
-    assert count >= 5
+    assert count >= 2
 
 
 @pytest.mark.parametrize("bad", ["net", "origin", "direction"])

@@ -221,7 +221,7 @@ def test_decidable_rays_survive_rounding_to_float32() -> None:
     """What `decidable` promises, on rays that graze silhouettes and edges on purpose."""
     rng = np.random.default_rng(8)
     nets = wavy(rng, 4)
-    count = 1200
+    count = 600
     patch = rng.integers(0, len(nets), count)
     uv = rng.dirichlet([1, 1, 1], count)[:, :2]
     offset = 10 ** rng.uniform(-10, -3, count) * rng.choice([-1, 1], count)
@@ -248,7 +248,7 @@ def test_decidable_rays_survive_rounding_to_float32() -> None:
         moved = 20 * eps * hits.margin.scale[both] / hits.margin.cosine[both]
         changed[both] |= far[both] > moved
     decidable = hits.margin.decidable(5 * eps)
-    assert changed.sum() > 80
+    assert changed.sum() > 40
     assert not (changed & decidable).any()
     assert decidable.mean() > 0.7  # and the band is not too wide: the aim was to be in it
     # of ordinary rays next to none is lost

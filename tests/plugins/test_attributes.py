@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import ball_rays, bezier, numbers, ray_of, tensor
 
 import mitsuba_bezier as mb
@@ -32,7 +33,7 @@ NEAR = 1e-4
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def some_hits(shape: Any) -> tuple[Any, np.ndarray, np.ndarray]:
@@ -149,7 +150,7 @@ def test_mono_and_spectral_variants():
             grey = np.array(shape.eval_attribute("face_grey", si)).ravel()
             assert np.abs(grey - 0.3).max() < NEAR
         finally:
-            mi.set_variant("llvm_ad_rgb")
+            mi.set_variant(VARIANT)
 
 
 # ---------------------------------------------------------------- later changes

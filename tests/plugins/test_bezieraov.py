@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
@@ -20,7 +21,7 @@ SIDE = 24
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def scene_of(pixel_format: str = "rgb", **shapes: Any) -> Any:
@@ -119,7 +120,7 @@ def test_other_variants():
             for channel in theirs:
                 assert np.abs(theirs[channel] - ours[channel]).max() < 1e-5, channel
         finally:
-            mi.set_variant("llvm_ad_rgb")
+            mi.set_variant(VARIANT)
 
 
 def test_a_bezier_sphere_has_the_variables_of_a_sphere():

@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from render_cases import (
     BALLS,
     BATCHES,
@@ -24,8 +25,6 @@ from render_cases import (
     share_that_agrees,
     three_balls,
 )
-
-VARIANT = "llvm_ad_rgb"
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import ray_of
 from render_cases import (
     BATCHES,
@@ -30,7 +31,7 @@ from mitsuba_bezier.plugins.scene import SceneRays
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def volpath(**parameters: Any) -> Any:

@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier
 
 import mitsuba_bezier as mb
@@ -21,7 +22,7 @@ WAVY = mb.BezierTriangles(
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def maps(count: int, seed: int = 1) -> np.ndarray:

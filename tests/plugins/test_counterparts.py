@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier
 from render_cases import SHARE, ball, bsdfs, camera, floor, lamp, share_that_agrees
 
@@ -28,7 +29,7 @@ SPP = 16
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def balls(kind: str) -> Any:
@@ -180,7 +181,7 @@ def test_a_variant_changed_under_a_live_scene(other):
         native = mi.load_dict({**make, "b": {"type": "sphere"}})
         assert np.array(mi.render(native, spp=1)).max() > 0
     finally:
-        mi.set_variant("llvm_ad_rgb")
+        mi.set_variant(VARIANT)
     assert (np.array(mi.render(scene, spp=4)) == before).all()  # and all is as it was
 
 

@@ -11,13 +11,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from derivative_cases import BENT, KEY, attach, central, film, inner, set_net, weights
 from mitsuba_cases import bezier, ray_of, tensor
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.plugins import scene_data
-
-VARIANT = "llvm_ad_rgb"
 
 
 @pytest.fixture(scope="module", autouse=True)

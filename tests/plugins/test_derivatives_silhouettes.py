@@ -8,11 +8,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier, numbers, ray_of, tensor
 
 import mitsuba_bezier as mb
 
-VARIANT = "llvm_ad_rgb"
 EYE = np.array([0.3, 0.2, 4.0])
 COUNT = 3000
 

@@ -8,13 +8,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from derivative_cases import BENT, attach, central, film, inner, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.contours import contour_segments, edge_segments
-
-VARIANT = "llvm_ad_rgb"
 
 
 @pytest.fixture(scope="module", autouse=True)

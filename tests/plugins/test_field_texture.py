@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import io
@@ -20,7 +21,7 @@ from mitsuba_bezier.plugins.colormaps import banded, color_table, linear_rgb
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def curved(degree: int, rational: bool = False) -> BezierTriangles:
@@ -315,7 +316,7 @@ def test_every_variant_renders_it(variant):
             image = np.array(mi.render(mi.load_dict(scene), spp=4))
             assert np.isfinite(image).all() and image.max() > 0.05
     finally:
-        mi.set_variant("llvm_ad_rgb")
+        mi.set_variant(VARIANT)
 
 
 def test_from_a_file(tmp_path):

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier, ray_of
 
 import mitsuba_bezier as mb
@@ -20,7 +21,7 @@ from mitsuba_bezier.plugins.frozen import contents
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 @pytest.fixture(autouse=True)

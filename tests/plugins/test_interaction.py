@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import ball_rays, bezier, numbers, ray_of
 
 import mitsuba_bezier as mb
@@ -27,7 +28,7 @@ EVERYTHING = 0  # set with the variant
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
     global EVERYTHING
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     EVERYTHING = mi.RayFlags.All | mi.RayFlags.dNSdUV
 
 

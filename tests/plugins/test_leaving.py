@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import ball_rays, bezier, numbers, ray_of
 
 import mitsuba_bezier as mb
@@ -16,7 +17,6 @@ from mitsuba_bezier.plugins.integrators.emitters import EmitterSampling
 from mitsuba_bezier.plugins.offsets import own_error, spawn_ray, spawn_ray_to
 from mitsuba_bezier.plugins.scene import SceneRays
 
-VARIANT = "llvm_ad_rgb"
 COUNT = 2**14
 #: Offset along (1, -1, 1) and size: those at which the coordinates leave room for a shell.
 PLACES = [(0, 1), (0, 1e-3), (0, 1e3), (1e4, 1e3)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.errors import GeometryError
@@ -21,7 +22,7 @@ PATCH = mb.BezierTriangles(NET)
 @pytest.fixture(autouse=True)
 def variant():
     before = mi.variant()
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     yield
     if before:
         mi.set_variant(before)

@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import numbers, ray_of, tensor
 
 import mitsuba_bezier as mb
@@ -28,7 +29,7 @@ PLACES = [
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def rays(centre: Any, radius: float) -> tuple[np.ndarray, np.ndarray]:

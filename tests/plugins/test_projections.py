@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import ball_rays, bezier, numbers, ray_of, tensor
 from render_cases import SHARE, bezierpath, camera, moments, path, share_that_agrees, sky
 
@@ -20,7 +21,7 @@ SPP = 32
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def square() -> mb.BezierTriangles:

@@ -7,6 +7,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from render_cases import BATCHES, ball, lamp, moments, share_that_agrees, sky
 
 import mitsuba_bezier as mb
@@ -76,7 +77,7 @@ METAL = {"type": "roughconductor", "alpha": 0.4, "material": "Cu"}
     "light", ["area on patches", "area", "point", "spot", "directional", "constant", "envmap"]
 )
 def test_lights(light):
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     assert_path_agrees(scene(DIFFUSE, light), max_depth=4)
 
 
@@ -88,7 +89,7 @@ def test_several_lights_and_metal(variant):
 
 @pytest.mark.parametrize("parameters", [{"max_depth": 1}, {"max_depth": 2, "hide_emitters": True}])
 def test_depths(parameters):
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     assert_path_agrees(scene(DIFFUSE, "area on patches", "constant"), **parameters)
 
 

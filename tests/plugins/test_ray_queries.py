@@ -9,12 +9,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import analytic_sphere, ball_rays, bezier, camera_rays, numbers, ray_of
 
 import mitsuba_bezier as mb
 
 COVERS = ["octants", "tetrahedral"]
-VARIANT = "llvm_ad_rgb"
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -7,6 +7,7 @@ from dataclasses import fields
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import ball_rays, bezier, ray_of
 
 import mitsuba_bezier as mb
@@ -85,7 +86,7 @@ def test_another_number_of_patches_is_a_new_build():
 
 
 def test_shapes_remember_their_leaves_after_an_update(monkeypatch):
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     cut = []
     subdivide = leaf_builder.subdivide
 

@@ -12,11 +12,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import analytic_sphere, ball_rays, bezier, numbers, ray_of, sphere_net, tensor
 
 import mitsuba_bezier as mb
-
-VARIANT = "llvm_ad_rgb"
 
 # float32 control points move the surface by a rounding (6e-8) of its size, and so does the ray
 # parameter; seen at a slant of 1/10 or steeper that is 1e-6

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier, sphere_net
 
 import mitsuba_bezier as mb
@@ -14,7 +15,7 @@ from mitsuba_bezier.io import save
 from mitsuba_bezier.plugins.spelling import PARAMETERS
 
 if mi.variant() is None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 NEEDED = {"bezieraov": {"aovs": "d:depth"}, "beziertriangle": bezier()}
 

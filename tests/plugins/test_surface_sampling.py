@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier
 
 import mitsuba_bezier as mb
@@ -26,7 +27,7 @@ WEIGHTS = np.array([1, 1, 1, 3, 0.4, 0.7])[:, None]
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def uneven_patch() -> mb.BezierTriangles:
@@ -244,7 +245,7 @@ def test_textured_emitters_are_sampled_where_they_shine(name):
             flat = np.array(other.sample(which, sample, mi.Bool(True))[0].pdf)
             assert (flat * area).std() < 0.01
     finally:
-        mi.set_variant("llvm_ad_rgb")
+        mi.set_variant(VARIANT)
 
 
 def test_points_off_the_surface_have_no_density():

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from mitsuba_cases import bezier, numbers, ray_of, tensor
 from render_cases import BATCHES, SHARE, bezierpath, camera, floor, moments, path, sky
 
@@ -23,7 +24,7 @@ SPP = 32
 
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def uneven_patch() -> mb.BezierTriangles:

@@ -10,6 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 from render_cases import (
     BATCHES,
     SHARE,
@@ -30,7 +31,7 @@ VARIANTS = _runtime.usable_variants()
 def variant(request: Any) -> Any:
     mi.set_variant(request.param)
     yield request.param
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def test_some_variant_of_each_kind_starts():

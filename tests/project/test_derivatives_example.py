@@ -9,13 +9,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 SCRIPT = Path(__file__).parents[2] / "scenes" / "inverse_quadric.py"
 
 
 @pytest.fixture(scope="module")
 def example() -> Any:
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     spec = importlib.util.spec_from_file_location("inverse_quadric", SCRIPT)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -220,6 +220,12 @@ def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
+def test_tests_take_the_backend_from_one_place():
+    for path in (ROOT.parent / "tests").rglob("*.py"):
+        if path.name not in ("backend_cases.py", Path(__file__).name):
+            assert "drjit.llvm" not in path.read_text(encoding="utf-8"), path
+
+
 def test_no_modules_import_each_other():
     names = {module.removesuffix(".py").replace("/", ".") for module in MODULES}
     graph = {}

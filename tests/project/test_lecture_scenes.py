@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.collineations import homology
@@ -12,7 +13,7 @@ from mitsuba_bezier.geometry.developable import gaussian_curvature
 from mitsuba_bezier.geometry.projective import affine, is_ideal, meet
 from mitsuba_bezier.geometry.quadric_types import classify_quadric
 
-mi.set_variant("llvm_ad_rgb")
+mi.set_variant(VARIANT)
 
 from lecture_cases import SCENES, edge_between, make_lecture, shot  # noqa: E402
 from mitsuba_cases import tensor  # noqa: E402
@@ -20,7 +21,7 @@ from mitsuba_cases import tensor  # noqa: E402
 
 @pytest.fixture(autouse=True)
 def variant():
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def line_through(x):

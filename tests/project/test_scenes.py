@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 
@@ -31,7 +32,7 @@ def script() -> ModuleType:
 
 def load(name: str) -> Any:
     """Return a scene with a film of 16 x 16 pixels and one sample a pixel."""
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     return mi.load_file(str(SCENES / f"{name}.xml"), width="16", height="16", spp="1")
 
 

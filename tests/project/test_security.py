@@ -53,7 +53,7 @@ def test_each_sentence_of_the_page_has_a_test_and_stands_there():
 
 # what the package and its processes import, and what Python imports by itself when it starts
 MODULES = (
-    *("numpy", "mitsuba", "drjit", "OpenEXR", "rich", "meshio"),
+    *("numpy", "mitsuba", "drjit", "OpenEXR", "rich", "shapely", "meshio"),
     *("rhino3dm", "sitecustomize", "usercustomize", "typing", "subprocess", "ctypes"),
     *("platform", "json", "tempfile", "argparse", "dataclasses", "signal"),
     *("pathlib", "zlib", "lzma", "shutil", "secrets", "glob"),

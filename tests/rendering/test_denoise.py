@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 
@@ -92,7 +93,7 @@ def test_a_denoised_picture(folder, capsys):
 @pytest.mark.parametrize("channels", [None, 1, 3, 4])
 def test_in_python(channels):
     pytest.importorskip("mitsuba_oidn")
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     rng = np.random.default_rng(1)
     size = (64, 64) if channels is None else (64, 64, channels)
     image = (0.5 + 0.2 * rng.standard_normal(size)).astype(np.float32)

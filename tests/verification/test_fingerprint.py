@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb  # before Mitsuba
 
@@ -25,7 +26,7 @@ INNER = '<scene version="3.0.0"><integrator type="path"/></scene>'
 
 @pytest.fixture(autouse=True)
 def variant():
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def write(folder, scene=SCENE, inner=INNER, radius=1.0):

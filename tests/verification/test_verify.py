@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.cli.main import main
@@ -21,7 +22,7 @@ RESOLUTION = 96
 def variant():
     import mitsuba as mi
 
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 def judge(case, patches=None):

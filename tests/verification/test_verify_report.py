@@ -10,6 +10,7 @@ import re
 import mitsuba as mi
 import numpy as np
 import pytest
+from backend_cases import VARIANT
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.cli.verify import cast
@@ -34,7 +35,7 @@ def entry(name, patches=None):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """Two good cases, one with a hole, and one with a bent surface."""
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     bent = BY_NAME["ellipsoid"].patches().control_points.copy()
     bent[:, 1] *= 1.02
     entries = [

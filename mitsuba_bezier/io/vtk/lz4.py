@@ -1,4 +1,7 @@
-"""Decoder for LZ4 blocks, which VTK may use and Python's standard library lacks.
+"""Decode LZ4 blocks, which VTK may use and Python's standard library lacks.
+
+By hand, in forty lines: the package ``lz4`` would be one more to install for files that are rare
+(VTK writes zlib by default), and the size of what comes out is bounded here before it is made.
 
 Source: "LZ4 Block Format Description", https://github.com/lz4/lz4/blob/dev/doc/lz4_Block_format.md
 """

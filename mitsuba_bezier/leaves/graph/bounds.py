@@ -174,10 +174,7 @@ def _operators(n: int, size: int, lattice: int) -> _Operators:
     )
     differences = tuple(np.concatenate(_partials(n, k)) @ to_t / leg**k for k in range(1, 5))
     double = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
-    numerator: tuple[np.ndarray, ...] = ()
-    if n < _HIGH:
-        inverse = np.linalg.inv(bernstein.basis(2 * n, double))
-        numerator = tuple(np.concatenate(_partials(2 * n, k)) @ inverse / leg**k for k in (3, 4))
+    numerator = tuple(m / leg**k for m, k in zip(_from_values(n), (3, 4))) if n < _HIGH else ()
     return _Operators(
         samples=samples,
         differences=differences,
@@ -189,10 +186,20 @@ def _operators(n: int, size: int, lattice: int) -> _Operators:
     )
 
 
+@cache
+def _from_values(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return matrices from values on the lattice of degree 2 n to partials of order 3 and 4."""
+    double = bernstein.multi_indices(2 * n)[:, :2] / (2 * n)
+    inverse = np.linalg.inv(bernstein.basis(2 * n, double))
+    third, fourth = (np.concatenate(_partials(2 * n, k)) @ inverse for k in (3, 4))
+    return third, fourth
+
+
 def _basis(n: int, uv: np.ndarray) -> np.ndarray:
     return bernstein.basis(n, uv) if n >= 0 else np.zeros((len(uv), 1))
 
 
+@cache
 def _partials(n: int, order: int) -> list[np.ndarray]:
     """Return the matrices from a net to the nets of d^k/du^k, d^k/du^(k-1)dv, ..., d^k/dv^k."""
     if order > n:
