@@ -10,6 +10,7 @@ from .drawing import draw_section, draw_spots, save_figure
 from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
 from .lens import Lens, Surface
 from .paraxial import FirstOrder, first_order
+from .patches import lens_shapes, surface_patches
 from .readers import load
 from .report import report
 from .trace import Trace, trace
@@ -31,11 +32,13 @@ __all__ = [
     "draw_spots",
     "first_order",
     "glass",
+    "lens_shapes",
     "load",
     "pupil_grid",
     "report",
     "save_figure",
     "spot",
+    "surface_patches",
     "trace",
     "used_semi_diameters",
 ]

@@ -1,0 +1,213 @@
+"""Surfaces of a lens as exact Bézier triangles, and a lens as shapes of a scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import PrescriptionError
+from ..geometry.revolution import band, cap, disk_sectors
+from ..geometry.tensor import tensor_to_triangles
+from ..geometry.triangles import BezierTriangles
+from .beams import used_semi_diameters
+from .lens import Lens, Surface
+
+#: Clear radii that a prescription leaves out are this much wider than its beams.
+_ROOM = 1.05
+
+
+def surface_patches(surface: Surface, semi_diameter: float | None = None) -> BezierTriangles:
+    """Return a surface inside its clear aperture as patches, in its own frame.
+
+    A plane is a disk in three sectors; a conic of revolution is a quadric, and three patches are
+    the cap that the aperture's circle cuts off. Normals are on the side of negative z, from where
+    light comes.
+
+    Parameters
+    ----------
+    surface : Surface
+        A plane or a conic.
+    semi_diameter : float, optional
+        Radius of the aperture; the surface's own by default.
+
+    Returns
+    -------
+    BezierTriangles
+        Of degree 2.
+
+    Raises
+    ------
+    PrescriptionError
+        If the surface is an asphere with a polynomial, or the radius is not finite or beyond the
+        conic.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Surface, surface_patches
+    >>> len(surface_patches(Surface(1 / 50, semi_diameter=10)))
+    3
+    """
+    r = surface.semi_diameter if semi_diameter is None else semi_diameter
+    if not surface.is_conic:
+        raise PrescriptionError(
+            "surface: expected a plane or a conic, which are exact as patches, got an even asphere"
+        )
+    if not 0 < r < np.inf:
+        raise PrescriptionError(f"semi_diameter: expected a finite positive number, got {r}")
+    if not r < surface.reach():
+        raise PrescriptionError(
+            f"semi_diameter: expected less than {surface.reach():.6g}, where the conic turns back, "
+            f"got {r:.6g}"
+        )
+    c, k = surface.curvature, surface.conic
+    if not c:
+        return BezierTriangles(np.array(disk_sectors(r, 0.0, up=False)))
+    # c (x^2 + y^2 + (1 + k) z^2) - 2 z, whose gradient at the vertex is along -z
+    quadric = np.diag([c, c, c * (1 + k), 0.0])
+    quadric[2, 3] = quadric[3, 2] = -1.0
+    return BezierTriangles(np.array(cap(quadric, r, float(surface.sag(r)))))
+
+
+def rim_patches(low: tuple[float, float], high: tuple[float, float]) -> BezierTriangles:
+    """Return the edge of an element between two circles ``(radius, z)``: a cylinder or a cone.
+
+    Normals point away from the axis.
+    """
+    (r0, z0), (r1, z1) = low, high
+    if r0 == r1:
+        quadric = np.diag([1.0, 1.0, 0.0, -r0 * r0])
+    else:  # x^2 + y^2 = (r0 + s (z - z0))^2
+        s = (r1 - r0) / (z1 - z0)
+        at = r0 - s * z0
+        quadric = np.diag([1.0, 1.0, -s * s, -at * at])
+        quadric[2, 3] = quadric[3, 2] = -s * at
+    return BezierTriangles(np.array(band(quadric, low, high)))
+
+
+def annulus_patches(inner: float, outer: float) -> BezierTriangles:
+    """Return a flat ring around the axis in the plane z = 0: a stop. Normals are along -z."""
+    arcs = []
+    for r in (inner, outer):
+        third = np.pi / 3
+        corners = [[r * np.cos(a), r * np.sin(a), 0, 1] for a in (-third, third)]
+        # a third of a circle: weight cos(60 degrees), and the point twice as far out
+        arcs.append(np.array([corners[0], [r, 0, 0, 0.5], corners[1]]))
+    ring = tensor_to_triangles(np.array(arcs))
+    turns = []
+    for k in range(3):
+        a = 2 * np.pi * k / 3
+        matrix = np.eye(4)
+        matrix[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+        turns.append(ring.transform(matrix).control_points)
+    patches = BezierTriangles(np.concatenate(turns))
+    normal = patches.normals(0, np.full((1, 2), 1 / 3))[0]
+    return patches if normal[2] < 0 else patches.transform(np.diag([1.0, -1.0, 1.0, 1.0]))
+
+
+def clear_radii(lens: Lens) -> np.ndarray:
+    """Return the radii ``(S,)`` of the surfaces: given ones, else somewhat more than the beams'."""
+    given = np.array([s.semi_diameter for s in lens.surfaces])
+    if np.isfinite(given).all():
+        return given
+    reach = np.array([s.reach() for s in lens.surfaces])
+    return np.where(
+        np.isfinite(given), given, np.minimum(_ROOM * used_semi_diameters(lens), 0.999 * reach)
+    )
+
+
+def lens_shapes(
+    lens: Lens,
+    wavelength: float | None = None,
+    to_world: np.ndarray | None = None,
+    edges: bool = True,
+    stop: bool = True,
+) -> dict[str, dict[str, Any]]:
+    """Return the shapes of a lens for a scene dictionary.
+
+    Every surface stands once, as the border of the media on both sides, so that cemented ones
+    have no gap. Edges of elements are matt black, as makers paint them.
+
+    Parameters
+    ----------
+    lens : Lens
+        Planes and conics.
+    wavelength : float, optional
+        In micrometres, for the indices of the dielectrics; the reference wavelength by default.
+    to_world : (4, 4) array, optional
+        Rigid map from the lens to the scene.
+    edges, stop : bool
+        Whether the edges of elements, and the plate of the stop, are there.
+
+    Returns
+    -------
+    dict
+        ``surface-1``, ``edge-1``, ``stop``, ... to dictionaries that `mi.load_dict` takes.
+
+    Raises
+    ------
+    PrescriptionError
+        If a surface is an even asphere, or its size is unknown.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Abbe, Lens, Surface, lens_shapes
+    >>> front = Surface(1 / 50, 4, Abbe(1.5168, 64.17), semi_diameter=10)
+    >>> sorted(lens_shapes(Lens([front, Surface(-1 / 50, 47, semi_diameter=10)])))
+    ['edge-1', 'surface-1', 'surface-2']
+    """
+    w = lens.wavelengths[lens.reference] if wavelength is None else wavelength
+    world = np.eye(4) if to_world is None else np.asarray(to_world, float)
+    n, radii = lens.indices(w), clear_radii(lens)
+    frames = world @ lens.frames()
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.02, 0.02, 0.02]}}
+    shapes: dict[str, dict[str, Any]] = {}
+
+    def add(name: str, net: BezierTriangles, frame: np.ndarray, bsdf: dict[str, Any]) -> None:
+        shapes[name] = {
+            "type": "beziertriangle",
+            "control_points": net.transform(frame),
+            "bsdf": bsdf,
+        }
+
+    for i, s in enumerate(lens.surfaces):
+        try:
+            if s.mirror:
+                # its back takes no light
+                add(f"surface-{i + 1}", surface_patches(s, radii[i]), frames[i], _mirror())
+            elif n[i] != n[i + 1]:
+                bsdf = {"type": "dielectric", "int_ior": n[i + 1], "ext_ior": n[i]}
+                if lens.directions()[i] < 0:  # light comes from the other side
+                    bsdf = {"type": "dielectric", "int_ior": n[i], "ext_ior": n[i + 1]}
+                add(f"surface-{i + 1}", surface_patches(s, radii[i]), frames[i], bsdf)
+        except PrescriptionError as error:
+            raise PrescriptionError(f"surface {i + 1}: {error}") from None
+        if stop and s.stop and not s.mirror and n[i] == n[i + 1]:
+            outer = max(1.5 * radii[i], radii[max(i - 1, 0)], radii[min(i + 1, len(radii) - 1)])
+            add(
+                "stop",
+                annulus_patches(radii[i], outer),
+                frames[i],
+                {"type": "twosided", "b": black},
+            )
+        if (
+            edges
+            and i + 1 < len(lens.surfaces)
+            and n[i + 1] > max(n[0], 1.0) + 1e-6
+            and not s.mirror
+        ):
+            low = (radii[i], float(s.sag(radii[i])))
+            back = lens.surfaces[i + 1]
+            high = (radii[i + 1], s.thickness + float(back.sag(radii[i + 1])))
+            if high[1] - low[1] > 1e-9 * abs(radii[i]):
+                add(
+                    f"edge-{i + 1}",
+                    rim_patches(low, high),
+                    frames[i],
+                    {"type": "twosided", "b": black},
+                )
+    return shapes
+
+
+def _mirror() -> dict[str, Any]:
+    return {"type": "twosided", "b": {"type": "conductor", "material": "none"}}

@@ -1,0 +1,130 @@
+"""A lens as patches: exact surfaces, closed elements, and rays as the float64 trace has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import mitsuba_bezier as mb
+from mitsuba_bezier.errors import PrescriptionError
+from mitsuba_bezier.optics import Abbe, Lens, Surface, lens_shapes, surface_patches, trace
+from mitsuba_bezier.optics.patches import annulus_patches, rim_patches
+
+SURFACES = {
+    "sphere": Surface(1 / 50, semi_diameter=10),
+    "deep sphere": Surface(-1 / 10, semi_diameter=9.9),
+    "hyperboloid": Surface(-1 / 50, semi_diameter=30, conic=-2.25),
+    "paraboloid": Surface(1 / 20, semi_diameter=12, conic=-1),
+    "oblate": Surface(1 / 20, semi_diameter=9, conic=3.0),
+    "plane": Surface(semi_diameter=3),
+}
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_patches_are_the_surface(name):
+    s = SURFACES[name]
+    patches = surface_patches(s)
+    rng = np.random.default_rng(0)
+    which = rng.integers(len(patches), size=4000)
+    uv = rng.dirichlet(np.ones(3), 4000)[:, :2]
+    p, n = patches.points(which, uv), patches.normals(which, uv)
+    r = np.hypot(p[:, 0], p[:, 1])
+    # roundings of float64, where the sphere is steep some more
+    assert np.abs(p[:, 2] - s.sag(np.minimum(r, s.semi_diameter))).max() < 1e-12 * s.semi_diameter
+    assert r.max() <= s.semi_diameter * (1 + 1e-12)
+    # towards the light
+    slope = s.slope(r)
+    truth = np.stack([slope * p[:, 0], slope * p[:, 1], -np.ones_like(r)], axis=1)
+    truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+    assert np.abs(n - truth).max() < 1e-9
+    # the whole aperture: the area of the surface of revolution, by Simpson's rule
+    t = np.linspace(0, s.semi_diameter, 20001)
+    density = 2 * np.pi * t * np.hypot(1, t * s.slope(t))
+    area = (t[1] / 3) * (
+        density[0] + 4 * density[1::2].sum() + 2 * density[2:-1:2].sum() + density[-1]
+    )
+    assert patches.area().sum() == pytest.approx(area, rel=1e-6)
+
+
+def test_rims_and_rings_have_their_areas():
+    assert annulus_patches(1, 2).area().sum() == pytest.approx(3 * np.pi, rel=1e-9)
+    assert annulus_patches(1, 2).normals(0, [[0.3, 0.3]])[0, 2] == pytest.approx(-1)
+    assert rim_patches((2, 0), (2, 1)).area().sum() == pytest.approx(4 * np.pi, rel=1e-6)
+    cone = 5 * np.pi * np.sqrt(2)
+    assert rim_patches((2, 0), (3, 1)).area().sum() == pytest.approx(cone, rel=1e-6)
+
+
+def test_what_has_no_patches_is_refused():
+    with pytest.raises(PrescriptionError, match="got an even asphere"):
+        surface_patches(Surface(coefficients=(0, 1e-6), semi_diameter=1))
+    with pytest.raises(PrescriptionError, match="semi_diameter: expected a finite"):
+        surface_patches(Surface())
+    with pytest.raises(PrescriptionError, match="less than 5"):
+        surface_patches(Surface(1 / 5), 5.0)
+
+
+def doublet() -> Lens:
+    return Lens(
+        [
+            Surface(1 / 61, 6, Abbe(1.5168, 64.17), 12.5),
+            Surface(-1 / 44.6, 2.5, Abbe(1.62, 36.37), 12.5),
+            Surface(-1 / 129, 88.3, semi_diameter=12.5),
+        ]
+    )
+
+
+def test_a_doublet_in_a_scene_refracts_as_the_prescription_says():
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    lens = doublet()
+    scene = mi.load_dict({"type": "scene", **lens_shapes(lens)})
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(-8, 8, (200, 2))
+    o = np.concatenate([xy, np.full((200, 1), -5.0)], axis=1)
+    d = np.tile([0.05, -0.08, 1.0], (200, 1))
+    truth = trace(lens, o, d)
+    assert truth.valid.all()
+    bsdf_context = mi.BSDFContext()
+    ray = mi.Ray3f(mi.Point3f(o.T), mi.Vector3f((d / np.linalg.norm(d[0])).T))
+    for i in range(3):
+        si = scene.ray_intersect(ray)
+        # 2e-6 of the size: float32 places points of 10 mm to 1e-6
+        assert np.abs(np.array(si.p).T - truth.points[i]).max() < 2e-5
+        sample, _ = si.bsdf().sample(bsdf_context, si, mi.Float(0.9999), mi.Point2f(0.5))
+        assert np.array(mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaTransmission)).all()
+        ray = si.spawn_ray(si.to_world(sample.wo))
+    out = np.array(ray.d).T
+    assert np.abs(out - truth.directions[2]).max() < 2e-6
+
+
+def test_elements_are_closed():
+    # rays from inside the crown glass meet the front, the cemented surface or the edge
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    shapes = lens_shapes(doublet())
+    assert set(shapes) == {"surface-1", "surface-2", "surface-3", "edge-1", "edge-2"}
+    scene = mi.load_dict({"type": "scene", **shapes})
+    rng = np.random.default_rng(5)
+    d = rng.normal(size=(100_000, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    ray = mi.Ray3f(mi.Point3f(1.0, 2.0, 3.0), mi.Vector3f(d.T))
+    pi = scene.ray_intersect_preliminary(ray, coherent=False)
+    assert np.array(pi.is_valid()).all()
+    t = np.array(pi.t)
+    p = [1.0, 2.0, 3.0] + t[:, None] * d
+    front = doublet().surfaces[0].sag(np.minimum(np.hypot(p[:, 0], p[:, 1]), 12.5))
+    assert (p[:, 2] > front - 1e-5).all()
+
+
+def test_mirrors_and_stops_are_shapes():
+    lens = Lens(
+        [
+            Surface(0, 10, stop=True, semi_diameter=4),
+            Surface(-1 / 200, -100, mirror=True, conic=-1, semi_diameter=20),
+        ]
+    )
+    shapes = lens_shapes(lens, to_world=np.diag([1.0, 1.0, 1.0, 1.0]))
+    assert set(shapes) == {"stop", "surface-2"}
+    assert isinstance(shapes["surface-2"]["control_points"], mb.BezierTriangles)
