@@ -352,6 +352,10 @@ class Canvas:
         data = self.encoded(os.path.splitext(os.fspath(path))[1], width)
         write_file(path, data, "path", make_folders=True)
 
+    def _repr_png_(self) -> bytes:
+        """Return the drawing as notebooks show it."""
+        return self.encoded(".png", 1000)
+
     def pixels(self, width: int = 1600) -> np.ndarray:
         """Return the drawing as an array ``(height, width, 3)`` of bytes."""
         from PIL import Image  # comes with matplotlib
