@@ -31,7 +31,9 @@ ROWS = (
 #: What is drawn below all: single modules.
 BASE = ("errors", "_runtime", "_llvm")
 
-WIDTH, MARGIN, GAP, BOX, ROW = 1200, 20, 24, 96, 150
+#: Sizes in pixels: the whole, its margin, a folder's box, and the columns of the matrix.
+WIDTH, MARGIN, BOX, ROW, HEAD = 1200, 16, 58, 66, 112
+BOX_WIDTH, CELL = 640, 42
 COLOURS = {
     "regression": "#e8eef7",
     "cli": "#e8eef7",
@@ -51,7 +53,7 @@ COLOURS = {
 def purpose(folder: Path) -> str:
     """Return the first line of a folder's docstring."""
     text = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
-    return (text or "").splitlines()[0].rstrip(".") if text else ""
+    return text.splitlines()[0].rstrip(".").replace("`", "") if text else ""
 
 
 def modules(folder: Path) -> list[Path]:
@@ -92,75 +94,72 @@ def arrows() -> dict[tuple[str, str], int]:
 
 
 def draw() -> str:
-    """Return the picture."""
-    rows = [[name for name in row if (PACKAGE / name).is_dir()] for row in ROWS]
-    height = MARGIN + ROW * len(rows) + 70
-    places: dict[str, tuple[float, float, float]] = {}
+    """Return the picture: a box a folder, and beside it how many of its modules import which."""
+    names = [name for row in ROWS for name in row if (PACKAGE / name).is_dir()]
+    height = HEAD + ROW * len(names) + 60
+    left = MARGIN + BOX_WIDTH + 18
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
         f'width="{WIDTH}" height="{height}" font-family="sans-serif">',
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" '
-        'markerHeight="7" orient="auto"><path d="M0 0 8 4 0 8z" fill="#666"/></marker></defs>',
         f'<rect width="{WIDTH}" height="{height}" fill="white"/>',
+        _text(MARGIN, 40, "Layers: imports go down only", 20, weight="bold"),
+        _text(MARGIN, 64, "Right: how many modules of a folder import something of another", 13),
     ]
-    boxes = []
-    for level, row in enumerate(rows):
-        y = MARGIN + level * ROW
-        width = (WIDTH - 2 * MARGIN - GAP * (len(row) - 1)) / len(row)
-        for k, name in enumerate(row):
-            x = MARGIN + k * (width + GAP)
-            places[name] = x, y, width
-            folder = PACKAGE / name
-            inside = sorted(p.name for p in folder.iterdir() if (p / "__init__.py").exists())
-            count = len(modules(folder))
-            boxes.append(
-                f'<rect x="{x:.0f}" y="{y}" width="{width:.0f}" height="{BOX}" rx="6" '
-                f'fill="{COLOURS[name]}" stroke="#555"/>'
-            )
-            boxes.append(
-                f'<text x="{x + 14:.0f}" y="{y + 27}" font-size="19" font-weight="bold">{name}/'
-                f'<tspan font-size="13" font-weight="normal" fill="#444">  {count} modules'
-                f"</tspan></text>"
-            )
-            lines = wrapped(purpose(folder), int(width / 7.2))[:2]
-            for j, line in enumerate(lines):
-                boxes.append(
-                    f'<text x="{x + 14:.0f}" y="{y + 48 + 17 * j}" font-size="13">'
-                    f"{escape(line)}</text>"
-                )
-            if inside:
-                boxes.append(
-                    f'<text x="{x + 14:.0f}" y="{y + BOX - 9}" font-size="12" fill="#444">'
-                    f"{escape('  ·  '.join(f'{n}/' for n in inside))}</text>"
-                )
-    y = MARGIN + ROW * len(rows)
-    places.update({name: (MARGIN, y, WIDTH - 2 * MARGIN) for name in BASE})
-    boxes.append(
-        f'<rect x="{MARGIN}" y="{y}" width="{WIDTH - 2 * MARGIN}" height="40" rx="6" '
-        f'fill="#f7f7f7" stroke="#555"/><text x="{MARGIN + 14}" y="{y + 25}" font-size="14">'
-        f"{'  ·  '.join(BASE)}</text>"
-    )
-    level_of = {name: level for level, row in enumerate(rows) for name in row}
-    drawn: dict[str, int] = {}
-    for (source, target), number in sorted(arrows().items()):
-        if target not in level_of or level_of[target] <= level_of[source]:
-            continue
-        sx, sy, sw = places[source]
-        tx, ty, tw = places[target]
-        out, into = drawn.get(source, 0), drawn.get("->" + target, 0)
-        drawn[source], drawn["->" + target] = out + 1, into + 1
-        x1, x2 = sx + sw * (0.16 + 0.17 * (out % 5)), tx + tw * (0.12 + 0.13 * (into % 7))
-        y1 = sy + BOX
-        middle = f"{(x1 + x2) / 2:.0f}", f"{(y1 + ty) / 2 - 3:.0f}"
+    for k, name in enumerate(names):
+        x, y = left + CELL * (k + 0.5), HEAD + ROW * k
         parts.append(
-            f'<line x1="{x1:.0f}" y1="{y1}" x2="{x2:.0f}" y2="{ty}" stroke="#888" '
-            f'stroke-width="{min(4.0, 0.8 + number / 8):.1f}" marker-end="url(#tip)"/>'
+            f'<text transform="translate({x + 4:.0f} {HEAD - 10}) rotate(-55)" '
+            f'font-size="13">{name}</text>'
         )
-        boxes.append(
-            f'<text x="{middle[0]}" y="{middle[1]}" font-size="11" fill="#333" '
-            f'stroke="white" stroke-width="3" paint-order="stroke">{number}</text>'
+        folder = PACKAGE / name
+        inside = sorted(p.name for p in folder.iterdir() if (p / "__init__.py").exists())
+        about = f"{len(modules(folder))} modules"
+        if inside:
+            about += ", in " + ", ".join(f"{n}/" for n in inside)
+        parts += [
+            f'<rect x="{MARGIN}" y="{y}" width="{BOX_WIDTH}" height="{BOX}" rx="6" '
+            f'fill="{COLOURS[name]}" stroke="#555"/>',
+            f'<text x="{MARGIN + 12}" y="{y + 21}" font-size="17" font-weight="bold">{name}/'
+            f'<tspan font-size="12" font-weight="normal" fill="#444" dx="8">{about}</tspan></text>',
+        ]
+        for j, line in enumerate(wrapped(purpose(folder), 92)[:2]):
+            parts.append(_text(MARGIN + 12, y + 37 + 15 * j, escape(line), 12))
+        parts.append(
+            f'<line x1="{left}" y1="{y + BOX / 2:.0f}" x2="{left + CELL * len(names)}" '
+            f'y2="{y + BOX / 2:.0f}" stroke="#ddd"/>'
         )
-    return "\n".join([*parts, *boxes, "</svg>"]) + "\n"
+        parts.append(
+            f'<line x1="{x:.0f}" y1="{HEAD}" x2="{x:.0f}" y2="{HEAD + ROW * len(names) - 8}" '
+            'stroke="#ddd"/>'
+        )
+    for (source, target), number in sorted(arrows().items()):
+        if target in names:
+            x, y = left + CELL * (names.index(target) + 0.5), HEAD + ROW * names.index(source)
+            y += BOX / 2
+            down = names.index(target) > names.index(source)
+            parts.append(
+                f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{min(17, 8 + number**0.5 * 1.5):.1f}" '
+                f'fill="{COLOURS[target] if down else "#d33"}" stroke="#555"/>'
+            )
+            parts.append(_text(x, y + 4.5, str(number), 12, anchor="middle"))
+    for k in range(len(names)):  # the diagonal: what lies left of it would point up
+        x, y = left + CELL * (k + 0.5), HEAD + ROW * k + BOX / 2
+        parts.append(f'<rect x="{x - 7:.0f}" y="{y - 7:.0f}" width="14" height="14" fill="#bbb"/>')
+    y = HEAD + ROW * len(names)
+    parts.append(
+        f'<rect x="{MARGIN}" y="{y}" width="{BOX_WIDTH}" height="38" rx="6" '
+        'fill="#f7f7f7" stroke="#555"/>'
+    )
+    parts.append(_text(MARGIN + 12, y + 24, "below all: " + ", ".join(BASE), 13))
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _text(x: float, y: float, text: str, size: int, weight: str = "normal",
+          anchor: str = "start") -> str:  # fmt: skip
+    return (
+        f'<text x="{x:.0f}" y="{y:.0f}" font-size="{size}" font-weight="{weight}" '
+        f'text-anchor="{anchor}">{text}</text>'
+    )
 
 
 def wrapped(text: str, width: int) -> list[str]:

@@ -1,1 +1,1 @@
-"""Independent float64 answers with certificates, for `verify`, tests and benchmarks."""
+"""Independent answers, certified in float64 or exact in rational numbers; no render uses them."""
