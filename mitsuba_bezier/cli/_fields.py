@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,11 @@ def _levels(text: str) -> int:
 
 def add_options(add: Callable[..., Any]) -> None:
     """Add the options."""
-    add("--color-by", metavar="NAME", help="colours by a field of the model; 'info' lists them")
+    add(
+        "--color-by",
+        metavar="NAME",
+        help="colours by a field of the model, which 'info' lists, or a grid function's file (.gf)",
+    )
     add("--component", metavar="C", help="a number, x, y, z or magnitude (the only one, or that)")
     add("--colormap", metavar="MAP", help="a colour map of matplotlib's (viridis)")
     add("--range", metavar="A,B", type=_range, help="values of the first and the last colour")
@@ -48,6 +53,21 @@ def add_options(add: Callable[..., Any]) -> None:
     add("--no-bar", action="store_true", default=None, help="no bar of colours beside the picture")
     add("--warp", metavar="NAME", help="move points by a field of vectors, exactly")
     add("--factor", metavar="F", type=float, help="what these vectors are multiplied by (1)")
+
+
+def _with_functions(model: Any, given: dict[str, Any]) -> Any:
+    """Return a mesh of MFEM with the grid functions that options name by their files."""
+    files = {
+        str(given[name])
+        for name in ("color_by", "warp")
+        if str(given.get(name, "")).lower().endswith(".gf")
+    }
+    path = model.report.path
+    if not files or Path(path).suffix.lower() != ".mesh":
+        return model
+    from ..io import read
+
+    return read(path, trims=True, fields=sorted(files))
 
 
 def prepare(args: argparse.Namespace, models: list[Any]) -> Extra | None:
@@ -69,6 +89,10 @@ def prepare(args: argparse.Namespace, models: list[Any]) -> Extra | None:
         if getattr(args, name) is not None and getattr(args, other) is None:
             flag, needs = (f"--{x.replace('_', '-')}" for x in (name, other))
             raise BezierError.expected(flag, f"with {needs} NAME", "without")
+    models = [_with_functions(model, given) for model in models]
+    for name in ("color_by", "warp"):
+        if str(given.get(name, "")).lower().endswith(".gf"):
+            given[name] = Path(given[name]).stem
     look = FieldLook(**given)
     if look.warp is not None:
         models = warped_models(models, look.warp, look.factor)

@@ -6,7 +6,7 @@ file, those that were refused with the reason.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -48,7 +48,7 @@ _READERS = {
     ".iges": "cad.opencascade.read",
     ".igs": "cad.opencascade.read",
     ".inp": "meshes.read",
-    ".mesh": "meshes.read",
+    ".mesh": "mfem.read_any",
     ".msh": "gmsh.read",
     ".nas": "meshes.read",
     ".obj": "obj.read",
@@ -65,7 +65,7 @@ _OPTIONS = {
 #: Suffixes of the formats whose patches can have trims.
 _TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu")
 #: Suffixes of the formats that have fields.
-_WITH_FIELDS = (".msh", ".vtu")
+_WITH_FIELDS = (".mesh", ".msh", ".vtu")
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtk.writer.write"}
 
 
@@ -89,7 +89,11 @@ def _function(path: str | PathLike[str], table: dict[str, str], verb: str) -> Ca
     return getattr(import_module(f".{module}", __name__), name)
 
 
-def read(path: str | PathLike[str], trims: bool = False, fields: bool = True) -> Model:
+def read(
+    path: str | PathLike[str],
+    trims: bool = False,
+    fields: bool | Sequence[str | PathLike[str]] = True,
+) -> Model:
     """Read a file and the account of its faces; no warnings are issued.
 
     Parameters
@@ -100,8 +104,9 @@ def read(path: str | PathLike[str], trims: bool = False, fields: bool = True) ->
         Whether patches may have trims. If not, faces that are trimmed by curves are restricted to
         them, or refused where that fails; trimmed patches of ``.vtu`` files are returned whole,
         with a note.
-    fields : bool
-        Whether what the file tells of its points and cells is read, into ``Model.fields``.
+    fields : bool or sequence of path
+        Whether what the file tells of its points and cells is read, into ``Model.fields``; of a
+        mesh of MFEM, files of grid functions (``.gf``).
 
     Raises
     ------
@@ -115,7 +120,9 @@ def read(path: str | PathLike[str], trims: bool = False, fields: bool = True) ->
     if trims and suffix in _TRIMMED:
         options["trims"] = True
     if fields and suffix in _WITH_FIELDS:
-        options["fields"] = True
+        options["fields"] = fields
+    elif not isinstance(fields, bool):
+        raise FileFormatError.expected("fields", "True or False for such a file", repr(fields))
     try:
         return reader(path, **options)
     except MemoryError:

@@ -136,6 +136,13 @@ class Tokens:
         self._at += count
         return np.array(list(map(int, words)), dtype=np.int64)
 
+    def numbers_ahead(self) -> int:
+        """Return how many words there are before the next one that begins with a letter."""
+        for k in range(self._at, len(self._words)):
+            if self._words[k][0].isalpha():
+                return k - self._at
+        return len(self)
+
     def skip_to(self, word: str) -> bool:
         """Skip the words before the next `word`; return whether there is one."""
         try:

@@ -135,7 +135,7 @@ def color_bar(
     axes.set_yticks(places, texts, fontsize=points)
     axes.tick_params(length=0.35 * em, width=0.08 * points, pad=0.3 * points)
     axes.set_ylim(0, 1)
-    for k in range(isolines + 1 if isolines else 0):
+    for k in range(1, isolines):
         axes.axhline(k / isolines, color="black", linewidth=0.09 * points)
     for side in axes.spines.values():
         side.set_linewidth(0.08 * points)

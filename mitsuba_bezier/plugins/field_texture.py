@@ -219,10 +219,11 @@ def make_field_class() -> type:
                 gx, gy = (yv * du - yu * dv) * inv, (xu * dv - xv * du) * inv
                 return dr.sqrt(gx * gx + gy * gy)
 
-            if self.isolines:
+            if self.isolines > 1:
                 low, high = self.limits
                 step = (high - low) / self.isolines
-                nearest = dr.clip(dr.round((value - low) / step), 0.0, float(self.isolines))
+                # not at the ends: where the field has its extrema, lines shrink to points
+                nearest = dr.clip(dr.round((value - low) / step), 1.0, self.isolines - 1.0)
                 off = dr.abs(value - (low + nearest * step))
                 slope = per_pixel(fu, fv)
                 isoline = seen & (slope > 0) & (off < 0.5 * self.width * slope)
