@@ -1,4 +1,8 @@
-"""What the benchmarks share: rays, meshes, timing, child processes, the machine."""
+"""What the benchmarks share: rays, meshes, timing, child processes, the machine.
+
+Timing is our own and not asv's: two things are compared by turns within one process, on a machine
+that may have other work, while asv times one commit after the other.
+"""
 
 from __future__ import annotations
 

