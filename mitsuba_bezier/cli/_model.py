@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -19,9 +20,13 @@ from ..errors import BezierError, FileFormatError
 __all__ = [
     "HOOKS",
     "Extra",
+    "Prepared",
     "add_options",
+    "digest_of",
     "is_model",
     "load",
+    "loaded",
+    "prepared",
     "refuse_for_scenes",
     "writes_only",
 ]
@@ -130,6 +135,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         dest="scene_out",
         help="write the scene, with its models beside it, and do not render unless -o is given",
     )
+    from . import _movie
+
+    _movie.add_options(add)
     for hook in _hooks():
         hook.add_options(add)
 
@@ -197,17 +205,20 @@ def writes_only(args: argparse.Namespace) -> bool:
     return args.scene_out is not None and args.output is None
 
 
-def load(args: argparse.Namespace) -> Any:
-    """Return the scene around the models of the command line, as `_scene.load` does.
+@dataclass
+class Prepared:
+    """What the options of a model ask for, before a scene is made."""
 
-    Where `writes_only`, it is written, and there is none in what is returned.
-    """
-    from ..models import description
-    from ..models.scene import describe
-    from ..verification.fingerprint import files_fingerprint
-    from . import _scene
+    look: Any
+    models: list[Any]
+    appearance: Callable[..., Any] | None
+    finishers: list[Callable[[np.ndarray], np.ndarray]]
+    notes: list[str]
+    files: tuple[Path, ...]
 
-    mi = import_mitsuba()
+
+def prepared(args: argparse.Namespace) -> Prepared:
+    """Read the models and what is to be made of them."""
     if args.define:
         raise BezierError.expected("--define", "a scene, which has parameters", args.scene)
     look = _look(args)
@@ -219,25 +230,59 @@ def load(args: argparse.Namespace) -> Any:
             models, appearance = extra.models, extra.appearance or appearance
             notes += extra.notes
             finishers += [extra.finish] if extra.finish else []
-    node = describe(models, look, appearance, notes)
+    files = tuple(Path(path) for path in (args.scene, *args.more))
+    return Prepared(look, models, appearance, finishers, notes, files)
+
+
+def digest_of(
+    args: argparse.Namespace, found: Prepared, more: Mapping[str, str] | None = None
+) -> str:
+    """Return the fingerprint of a picture of models: of their files and the options."""
+    from ..verification.fingerprint import files_fingerprint
+
+    shown = {
+        name: getattr(args, name, None) for name in sorted(_own - {"scene_out", "fps", "open"})
+    }
+    given = {name: repr(value) for name, value in shown.items() if value not in (None, [])}
+    return files_fingerprint(found.files, {**given, **(more or {})})
+
+
+def loaded(args: argparse.Namespace, found: Prepared, node: dict[str, Any], digest: str) -> Any:
+    """Return the scene of a description, as `_scene.load` does."""
+    from ..models import description
+    from . import _scene
+
+    mi = import_mitsuba()
     if args.denoise:  # which needs it
         node["camera"]["film"]["rfilter"] = {"type": "box"}
-    files = tuple(Path(path) for path in (args.scene, *args.more))
-    if args.scene_out is not None:
-        notes.append(f"wrote {_write_scene(node, args.scene_out, files)}")
-    if writes_only(args):
-        return _scene.Loaded(None, None, "", tuple(notes), files)
     scene = mi.load_dict(description.to_dictionary(mi, node))
-    shown = {name: getattr(args, name, None) for name in sorted(_own - {"scene_out"})}
-    given = {name: repr(value) for name, value in shown.items() if value not in (None, [])}
-    digest = files_fingerprint(files, given)
 
     def preview(bitmap: Any, exposure: float) -> bytes | None:
-        return _preview(bitmap, exposure, look.behind, finishers)
+        return _preview(bitmap, exposure, found.look.behind, found.finishers)
 
+    notes = tuple(found.notes)
     return _scene.Loaded(
-        scene, scene.integrator(), "bezierpath", tuple(notes), files, digest, preview
+        scene, scene.integrator(), "bezierpath", notes, found.files, digest, preview
     )
+
+
+def load(args: argparse.Namespace) -> Any:
+    """Return the scene around the models of the command line, as `_scene.load` does.
+
+    Where `writes_only`, it is written, and there is none in what is returned.
+    """
+    from ..models.scene import describe
+    from . import _scene
+
+    found = prepared(args)
+    node = describe(found.models, found.look, found.appearance, found.notes)
+    if args.denoise:  # which needs it
+        node["camera"]["film"]["rfilter"] = {"type": "box"}
+    if args.scene_out is not None:
+        found.notes.append(f"wrote {_write_scene(node, args.scene_out, found.files)}")
+    if writes_only(args):
+        return _scene.Loaded(None, None, "", tuple(found.notes), found.files)
+    return loaded(args, found, node, digest_of(args, found))
 
 
 def _write_scene(node: dict[str, Any], out: str, inputs: tuple[Path, ...]) -> str:

@@ -202,7 +202,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Render and write the files; return 0."""
     scene_file = Path(args.scene)
-    from . import _images, _inputs, _passes, _scene
+    from . import _images, _inputs, _movie, _passes, _scene
 
     for name in (args.scene, *args.more):
         _scene.check_name(name)
@@ -218,8 +218,9 @@ def run(args: argparse.Namespace) -> int:
         for note in _model.load(args).notes:
             say(f"mitsuba-bezier: {printable(note)}")
         return 0
+    film = model and _movie.wanted(args)
     beside = scene_file.with_suffix(".exr") if args.output is None else args.output
-    output = _images.check_output(beside)
+    output = None if film else _images.check_output(beside)
 
     variant = set_variant(args.mode)
     import drjit as dr
@@ -233,6 +234,8 @@ def run(args: argparse.Namespace) -> int:
             expected = "a number of threads that this system starts"
             raise BezierError.expected("--threads", expected, f"{args.threads} ({error})") from None
 
+    if output is None:
+        return _movie.render(args, variant, lambda line: say(printable(line)))
     loaded = _inputs.load(args, variant)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {printable(note)}")

@@ -21,7 +21,7 @@ from .fields import Coloring, FieldLook, coloring, warped_models
 from .materials import PALETTE, material, painted
 from .selection import Selection, exploded, renamed, selected
 
-__all__ = ["Appearance", "Look", "describe", "models_of", "scene"]
+__all__ = ["Appearance", "Framing", "Look", "describe", "framing_of", "models_of", "scene"]
 
 #: Called with a part, the number of one of its groups, and the numbers of patches of that group:
 #: returns parameters for their shape (``bsdf``, ``vertex_...``, ``face_...``), or None for what the
@@ -96,6 +96,34 @@ class Look:
         if self.ground is not None:
             return self.ground
         return read_view(self.view)[1] > -1e-9 and self.behind != "transparent"
+
+
+@dataclass(frozen=True)
+class Framing:
+    """What a camera sees, in all pictures of several: points, and the height of the ground."""
+
+    points: np.ndarray
+    level: float
+
+
+def framing_of(models: Sequence[Model], look: Look) -> Framing:
+    """Return the framing of models, as `describe` has it.
+
+    Raises
+    ------
+    BezierError
+        If one is of no finite size, has no surface, or no part of it is shown.
+    """
+    points, level = [], np.inf
+    up = read_up(look.up)[2]
+    for model in models:
+        parts = selected(renamed(model.parts), look.selection)
+        bounds.check_finite(parts, model.report.path or "model")
+        if look.explode:
+            parts = exploded(parts, look.explode)
+        points.append(bounds.surface_points(parts))
+        level = min(level, bounds.lowest(parts, up))
+    return Framing(np.concatenate(points), level)
 
 
 def models_of(model: Any) -> list[Model]:
@@ -198,8 +226,11 @@ def describe(
     look: Look,
     appearance: Appearance | None = None,
     notes: list[str] | None = None,
+    framing: Framing | None = None,
 ) -> dict[str, Any]:
     """Return the description of a scene, see `description`; `notes` gets what is to be told.
+
+    With a `framing` camera, light and ground are those of another model, or of several.
 
     Raises
     ------
@@ -209,12 +240,14 @@ def describe(
     every = renamed([part for model in models for part in model.parts])
     name = models[0].report.path or "model"
     parts = selected(every, look.selection)
-    bounds.check_finite(parts, name)
+    if framing is None:
+        bounds.check_finite(parts, name)
     if look.explode:
         parts = exploded(parts, look.explode)
     axes = read_up(look.up)
     frame = view_frame(*read_view(look.view), axes)
-    points = bounds.surface_points(parts)
+    own = bounds.surface_points(parts)
+    points = own if framing is None else framing.points
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     if not size > 0:
         raise BezierError.expected(name, "a model of some size", "a single point")
@@ -231,10 +264,11 @@ def describe(
         appearance.see(out["camera"])
     out |= _light(look, axes, frame.back, points)
     if look.has_ground:
-        out["ground"] = _ground(parts, points, axes, size)
+        level = bounds.lowest(parts, axes[2]) if framing is None else framing.level
+        out["ground"] = _ground(level, points, axes, size)
     if look.section is None:
         return out | _shapes(every, parts, look, appearance)
-    plane = cuts.resolved(cuts.read_section(look.section), points, frame.back)
+    plane = cuts.resolved(cuts.read_section(look.section), own, frame.back)
     return out | _cut(every, parts, look, appearance, plane, size, notes)
 
 
@@ -369,11 +403,8 @@ def _grey(value: float) -> dict[str, Any]:
     return {"type": "rgb", "value": [float(value)] * 3}
 
 
-def _ground(
-    parts: Sequence[Part], points: np.ndarray, axes: np.ndarray, size: float
-) -> dict[str, Any]:
-    # a hair below, so that a plane face that lies on the ground is not in it
-    level = bounds.lowest(parts, axes[2]) - 1e-5 * size
+def _ground(level: float, points: np.ndarray, axes: np.ndarray, size: float) -> dict[str, Any]:
+    level -= 1e-5 * size  # a hair, so that a plane face that lies on the ground is not in it
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     matrix = np.eye(4)
     matrix[:3, :3] = (axes * [[1e3 * size], [1e3 * size], [1.0]]).T
