@@ -34,7 +34,7 @@ __all__ = [
 #: Modules of this package with more to do with models. Each has ``add_options(add)``, which adds
 #: options by ``add("--name", ...)``, and ``prepare(args, models)``, which returns an `Extra`, or
 #: None if none of its options is given.
-HOOKS: tuple[str, ...] = ("_fields",)
+HOOKS: tuple[str, ...] = ("_movie", "_fields")
 
 #: Options of models only, by the names that argparse gives them; see `refuse_for_scenes`.
 _own: set[str] = set()
@@ -135,9 +135,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         dest="scene_out",
         help="write the scene, with its models beside it, and do not render unless -o is given",
     )
-    from . import _movie
-
-    _movie.add_options(add)
     for hook in _hooks():
         hook.add_options(add)
 

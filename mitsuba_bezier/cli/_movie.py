@@ -14,7 +14,7 @@ from .._files import check_target, is_utf8, temporary_folder, write_file
 from ..errors import BezierError, FileFormatError
 from . import _model, _passes
 
-__all__ = ["add_options", "render", "wanted"]
+__all__ = ["add_options", "prepare", "render", "wanted"]
 
 #: Suffixes of films.
 SUFFIXES = (".gif", ".mp4", ".webp")
@@ -54,6 +54,10 @@ def add_options(add: Callable[..., Any]) -> None:
     )
     add("--frames", metavar="N", type=_count, help=f"frames of --animate ({FRAMES})")
     add("--fps", metavar="F", type=_rate, help="frames a second (24)")
+
+
+def prepare(args: argparse.Namespace, models: list[Any]) -> None:
+    """Do nothing to the models: a film is of what others make of them."""
 
 
 def wanted(args: argparse.Namespace) -> bool:
