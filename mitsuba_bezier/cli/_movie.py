@@ -111,7 +111,6 @@ def _frames(args: argparse.Namespace, prepared: _model.Prepared) -> list[Any]:
 def render(args: argparse.Namespace, variant: str, say: Callable[[str], None]) -> int:
     """Render the frames that are not there yet, and write the film; return 0."""
     from ..models.scene import describe
-    from .render import chosen_sensor
 
     out = Path(args.output or Path(args.scene).with_suffix(".gif"))
     if out.suffix.lower() not in SUFFIXES or not is_utf8(str(out)):
@@ -136,7 +135,7 @@ def render(args: argparse.Namespace, variant: str, say: Callable[[str], None]) -
             continue
         node = describe(frame.models, frame.look, prepared.appearance, None, frame.framing)
         loaded = _model.loaded(args, prepared, node, digest)
-        sensor = chosen_sensor(loaded.scene, args.sensor)
+        sensor = loaded.scene.sensors()[0]
         shot = _passes.Shot(args, loaded, sensor, variant, target)
         _passes.render(shot, lambda _line: None)
         with suppress(OSError):
