@@ -21,7 +21,7 @@ TARGET = Path(__file__).with_name("architecture.svg")
 ROWS = (
     ("regression",),
     ("cli",),
-    ("models",),
+    ("models", "studio"),
     ("rendering",),
     ("plugins",),
     ("kernels", "io", "verification"),
@@ -38,6 +38,7 @@ COLOURS = {
     "regression": "#e8eef7",
     "cli": "#e8eef7",
     "models": "#e8eef7",
+    "studio": "#e8eef7",
     "rendering": "#dcebdc",
     "plugins": "#dcebdc",
     "kernels": "#fbe9cf",

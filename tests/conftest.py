@@ -27,6 +27,7 @@ TIERS = {
     "optics": "unit",
     "io": "files",
     "figures": "files",
+    "studio": "render",
     "kernels": "kernel",
     "plugins": "render",
     "rendering": "render",

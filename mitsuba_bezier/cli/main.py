@@ -37,6 +37,7 @@ COMMANDS = (
     "conformance",
     "figure",
     "film",
+    "studio",
     "lens",
     "doctor",
 )

@@ -34,6 +34,7 @@ LAYERS = {
     "plugins": 30,
     "models": 35,
     "rendering": 33,
+    "studio": 45,
     "__init__": 40,
     "cli": 50,
     "regression": 60,  # a door like the command line, and it renders as that does
