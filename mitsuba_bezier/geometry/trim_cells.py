@@ -17,6 +17,7 @@ outside as a whole.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,17 +64,24 @@ def _elevated(curve: np.ndarray, degree: int) -> np.ndarray:
     return curve
 
 
-def _turns(curve: np.ndarray) -> list[float]:
-    """Return where a coordinate of a curve ``(n+1, 3)`` turns round."""
-    n = len(curve) - 1
-    slope = n * np.diff(curve, axis=0)
-    out: list[float] = []
-    for axis in range(2):
-        h = bernstein_product(slope[:, axis], curve[:, 2])
-        h = h - bernstein_product(slope[:, 2], curve[:, axis])
-        out += sign_changes(h[None])[1].tolist()
+def _turns(curves: Sequence[np.ndarray]) -> list[list[float]]:
+    """Return for each curve ``(n+1, 3)`` where a coordinate turns round."""
+    out: list[list[float]] = [[] for _ in curves]
+    lengths = np.array([len(c) for c in curves])
+    # all of one degree together: the halvings of one polynomial cost as much as those of hundreds
+    for length in np.unique(lengths):
+        which = np.flatnonzero(lengths == length)
+        turning = []
+        for k in which:
+            curve = curves[int(k)]
+            slope = (len(curve) - 1) * np.diff(curve, axis=0)
+            for axis in range(2):
+                h = bernstein_product(slope[:, axis], curve[:, 2])
+                turning.append(h - bernstein_product(slope[:, 2], curve[:, axis]))
+        for k, t in zip(*sign_changes(np.array(turning))):
+            out[which[k // 2]].append(float(t))
     # 1e-12: a turn at an end cuts off nothing
-    return sorted({t for t in out if 1e-12 < t < 1 - 1e-12})
+    return [sorted({t for t in turns if 1e-12 < t < 1 - 1e-12}) for turns in out]
 
 
 Piece = tuple[np.ndarray, np.ndarray]  # coefficients (n+1, 3), end points (2, 2)
@@ -91,36 +99,40 @@ def _cut(piece: Piece, places: list[float]) -> list[Piece]:
     return [*out, (rest, np.array([start, stop]))]
 
 
-def monotone_pieces(curve: np.ndarray) -> list[Piece]:
-    """Cut a curve ``(n+1, 3)`` into pieces along which both coordinates are monotone.
+def monotone_pieces(curves: Sequence[np.ndarray]) -> list[Piece]:
+    """Cut curves ``(n+1, 3)`` into pieces along which both coordinates are monotone.
 
     Returns
     -------
     list of ((n+1, 3) array, (2, 2) array)
         Coefficients and end points; t does not fall along a piece.
     """
-    ends = curve[[0, -1], :2] / curve[[0, -1], 2:]
     out = []
-    for coefficients, points in _cut((curve, ends), _turns(curve)):
-        if points[0, 1] > points[1, 1]:
-            coefficients, points = coefficients[::-1], points[::-1]
-        if (points[0] != points[1]).any():
-            out.append((coefficients, points))
+    for curve, turns in zip(curves, _turns(curves)):
+        ends = curve[[0, -1], :2] / curve[[0, -1], 2:]
+        for coefficients, points in _cut((curve, ends), turns):
+            if points[0, 1] > points[1, 1]:
+                coefficients, points = coefficients[::-1], points[::-1]
+            if (points[0] != points[1]).any():
+                out.append((coefficients, points))
     return out
 
 
-def _clipped(piece: Piece) -> list[Piece]:
-    """Cut a piece where it leaves the unit square by more than `_REACH`."""
-    coefficients, ends = piece
-    places: set[float] = set()
+def _clipped(coefficients: np.ndarray, ends: np.ndarray) -> list[Piece]:
+    """Cut pieces ``(Q, n+1, 3)`` where they leave the unit square by more than `_REACH`."""
+    places: list[set[float]] = [set() for _ in coefficients]
     for axis in range(2):
-        low, high = ends[:, axis].min(), ends[:, axis].max()
+        low, high = ends[:, :, axis].min(axis=1), ends[:, :, axis].max(axis=1)
         for at in (-_REACH, 1 + _REACH):
-            if low < at < high:
-                h = coefficients[:, axis] - at * coefficients[:, 2]
-                places |= set(sign_changes(h[None])[1].tolist())
-    inner = sorted(t for t in places if 1e-12 < t < 1 - 1e-12)
-    return _cut(piece, inner) if inner else [piece]
+            which = np.flatnonzero((low < at) & (at < high))
+            h = coefficients[which, :, axis] - at * coefficients[which, :, 2]
+            for k, t in zip(*sign_changes(h)) if len(which) else ():
+                places[which[k]].add(float(t))
+    out: list[Piece] = []
+    for piece, found in zip(zip(coefficients, ends), places):
+        inner = sorted(t for t in found if 1e-12 < t < 1 - 1e-12)
+        out += _cut(piece, inner) if inner else [piece]
+    return out
 
 
 @dataclass
@@ -169,7 +181,7 @@ def _placed(region: _Pieces, place: np.ndarray) -> _Pieces:
     wide = (np.abs(ends - 0.5) > 0.5 + _REACH).any(axis=(1, 2))
     if not wide.any():
         return _Pieces(coefficients, ends)
-    cut = [p for k in np.flatnonzero(wide) for p in _clipped((coefficients[k], ends[k]))]
+    cut = _clipped(coefficients[wide], ends[wide])
     return _Pieces(
         np.concatenate([coefficients[~wide], [c for c, _e in cut]]),
         np.concatenate([ends[~wide], [e for _c, e in cut]]),
@@ -189,7 +201,7 @@ class _Builder:
         self.degree = max((len(c) - 1 for c in curves), default=1)
         self.regions: dict[int, _Pieces] = {}
         for k in used.tolist():
-            pieces = [p for c in trims.regions[k] for p in monotone_pieces(c)]
+            pieces = monotone_pieces(trims.regions[k])
             self.regions[k] = _Pieces(
                 np.array([_elevated(c, self.degree) for c, _e in pieces]).reshape(
                     -1, self.degree + 1, 3

@@ -113,9 +113,12 @@ class PatchGrid:
         p, q = self.degrees
         bs, bt = _univariate(p, s), _univariate(q, t)
         ds, dt = _univariate(p - 1, s), _univariate(q - 1, t)
-        h = np.einsum("ni,nj,nijc->nc", bs, bt, nets)
-        hs = p * np.einsum("ni,nj,nijc->nc", ds, bt, np.diff(nets, axis=1)) / hu[:, None]
-        ht = q * np.einsum("ni,nj,nijc->nc", bs, dt, np.diff(nets, axis=2)) / hv[:, None]
+        # along v first, by products of matrices: an einsum of three factors is slow
+        rows = (bt[:, None, None, :] @ nets)[:, :, 0]
+        rows_t = (dt[:, None, None, :] @ np.diff(nets, axis=2))[:, :, 0]
+        h = (bs[:, None, :] @ rows)[:, 0]
+        hs = p * (ds[:, None, :] @ np.diff(rows, axis=1))[:, 0] / hu[:, None]
+        ht = q * (bs[:, None, :] @ rows_t)[:, 0] / hv[:, None]
         point = h[:, :3] / h[:, 3:]
         du = (hs[:, :3] - point * hs[:, 3:]) / h[:, 3:]
         dv = (ht[:, :3] - point * ht[:, 3:]) / h[:, 3:]

@@ -190,7 +190,7 @@ def test_pieces_are_monotone_and_join():
     rng = np.random.default_rng(5)
     t = np.linspace(0, 1, 200)
     for curve in blob(rng, (0, 0), 1, 9, 5):
-        pieces = monotone_pieces(curve)
+        pieces = monotone_pieces([curve])
         assert len(pieces) > 1
         ends = np.concatenate([e for _c, e in pieces]).tolist()
         assert sum(ends.count(e) == 1 for e in ends) == 2  # only the curve's own ends are single

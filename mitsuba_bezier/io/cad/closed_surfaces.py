@@ -141,12 +141,13 @@ def _joined(chains: list[list[np.ndarray]], frame: _Frame) -> list[list[np.ndarr
         return False
 
     for gap in _GAPS:
-        while len(loose) > 1:
-            at = np.array([place(item) for item in loose])
-            way = at[:, None] - at[None]
-            turns = np.round(way) * period
-            length = np.abs(way - turns).max(axis=2)
-            np.fill_diagonal(length, np.inf)
+        at = np.array([place(item) for item in loose]).reshape(-1, 2)
+        way = at[:, None] - at[None]
+        turns = np.round(way) * period
+        length = np.abs(way - turns).max(axis=2)
+        np.fill_diagonal(length, np.inf)
+        left = np.ones(len(loose), dtype=bool)
+        while left.sum() > 1:
             i, j = np.unravel_index(int(np.argmin(length)), length.shape)
             if length[i, j] > gap:
                 break
@@ -158,7 +159,10 @@ def _joined(chains: list[list[np.ndarray]], frame: _Frame) -> list[list[np.ndarr
             else:
                 ends = np.stack([at[i], at[j] + turn])
                 chains.append([np.column_stack([ends, np.ones(2)])])
-            loose = [item for k, item in enumerate(loose) if k not in (i, j)]
+            left[[i, j]] = False
+            length[[i, j]] = np.inf
+            length[:, [i, j]] = np.inf
+        loose = [item for item, free in zip(loose, left) if free]
         loose = [item for item in loose if not at_pole(item, gap)]
     return None if loose else chains
 

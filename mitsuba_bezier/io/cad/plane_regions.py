@@ -65,26 +65,32 @@ def chain(curves: list[np.ndarray], tolerance: float) -> list[list[np.ndarray]] 
     tolerance : float
         Largest gap between the end of a curve and the start of the next.
     """
-    rest = list(curves)
+    if not curves:
+        return []
+    starts = np.array([c[0, :2] / c[0, 2] for c in curves])
+    ends = np.array([c[-1, :2] / c[-1, 2] for c in curves])
+    places = np.concatenate([starts, ends])
+    count = len(curves)
+    left = np.ones(2 * count, dtype=bool)
     loops = []
-    while rest:
-        loop = [rest.pop(0)]
-        first = loop[0][0, :2] / loop[0][0, 2]
+    for number in range(count):
+        if not left[number]:
+            continue
+        left[[number, number + count]] = False
+        loop, first, end = [curves[number]], starts[number], ends[number]
         while True:
-            end = loop[-1][-1, :2] / loop[-1][-1, 2]
-            starts = np.array([c[0, :2] / c[0, 2] for c in rest]).reshape(-1, 2)
-            ends = np.array([c[-1, :2] / c[-1, 2] for c in rest]).reshape(-1, 2)
-            gaps = np.linalg.norm(np.concatenate([starts, ends, first[None]]) - end, axis=1)
-            # closing comes last: prefer to go on where a loop passes through its start again
+            gaps = np.where(left, np.linalg.norm(places - end, axis=1), np.inf)
             best = int(np.argmin(gaps))
-            if gaps[best] > tolerance:
+            home = np.linalg.norm(first - end)
+            if min(gaps[best], home) > tolerance:
                 return None
-            if gaps[-1] <= max(tolerance, gaps[best]) and (not rest or gaps[:-1].min() > gaps[-1]):
+            # closing comes last: prefer to go on where a loop passes through its start again
+            if home < gaps[best]:
                 break
-            if best == len(gaps) - 1:
-                break
-            curve = rest.pop(best % len(rest))
-            loop.append(curve if best < len(starts) else curve[::-1])
+            k = best % count
+            left[[k, k + count]] = False
+            loop.append(curves[k] if best < count else curves[k][::-1])
+            end = ends[k] if best < count else starts[k]
         loops.append(loop)
     return loops
 

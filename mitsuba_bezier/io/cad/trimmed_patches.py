@@ -35,6 +35,11 @@ __all__ = [
 ]
 
 
+#: Most parabolas for one piece of a curve, and how often a piece is halved.
+_MAX_PARABOLAS = 512
+_HALVINGS = 12
+
+
 def _evaluate(curve: np.ndarray, t: np.ndarray) -> np.ndarray:
     n = len(curve) - 1
     basis = np.stack([comb(n, i) * t**i * (1 - t) ** (n - i) for i in range(n + 1)], axis=-1)
@@ -175,65 +180,91 @@ def fit_parabolas(
     Returns
     -------
     list of (3, 3) arrays, or None
-        Homogeneous Bézier points; None if more than 512 would be needed.
+        Homogeneous Bézier points; None if more than `_MAX_PARABOLAS` would be needed.
     """
-    out: list[np.ndarray] = []
-    todo = [(k / start, (k + 1) / start, 0) for k in range(start - 1, -1, -1)]
-    while todo:
-        a, b, depth = todo.pop()
-        t = a + (b - a) * np.array([0, 0.25, 0.5, 0.75, 1])
-        x = evaluate(t)
-        middle = _tangents_meet(evaluate, a, b, x[0], x[4], scale)
-        if middle is None:
-            middle = 2 * x[2] - (x[0] + x[4]) / 2
-        s = np.array([[0.25], [0.5], [0.75]])
-        fitted = (1 - s) ** 2 * x[0] + 2 * s * (1 - s) * middle + s**2 * x[4]
-        off = (x[1:4] - fitted) * scale
-        tangent = np.array([x[2] - x[0], x[3] - x[1], x[4] - x[2]]) * scale
-        length = np.linalg.norm(tangent, axis=1, keepdims=True)
-        tangent = tangent / np.maximum(length, 1e-300)
-        across = off[:, 0] * tangent[:, 1] - off[:, 1] * tangent[:, 0]
-        # along the curve the error may be larger, but must stay small against the piece
-        if len(out) + len(todo) > 512:
+    bounds = np.arange(start + 1) / start
+    todo = np.stack([bounds[:-1], bounds[1:]], axis=1)
+    done: list[np.ndarray] = []
+    parabolas: list[np.ndarray] = []
+    # all pieces of a round together: many places of a curve cost little more than one
+    for depth in range(_HALVINGS + 1):
+        fitted, good = _parabolas(evaluate, todo, scale, tolerance)
+        good |= depth == _HALVINGS
+        done.append(todo[good])
+        parabolas.append(fitted[good])
+        rest = todo[~good]
+        if sum(map(len, done)) + 2 * len(rest) > _MAX_PARABOLAS:
             return None
-        if depth < 12 and (
-            np.abs(across).max() > tolerance
-            or np.linalg.norm(off, axis=1).max() > 0.05 * length.min() + tolerance
-        ):
-            todo += [((a + b) / 2, b, depth + 1), (a, (a + b) / 2, depth + 1)]
-            continue
-        out.append(np.column_stack([np.stack([x[0], middle, x[4]]), np.ones(3)]))
-    return out
+        if not len(rest):
+            break
+        middle = rest.mean(axis=1)
+        todo = np.concatenate(
+            [np.stack([rest[:, 0], middle], axis=1), np.stack([middle, rest[:, 1]], axis=1)]
+        )
+    order = np.argsort(np.concatenate(done)[:, 0])
+    found = np.concatenate(parabolas)[order]
+    return list(np.concatenate([found, np.ones((len(found), 3, 1))], axis=2))
+
+
+def _parabolas(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    pieces: np.ndarray,
+    scale: np.ndarray,
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a parabola ``(N, 3, 2)`` for each of the pieces ``(N, 2)``, and which are close."""
+    a, size = pieces[:, :1], pieces[:, 1:] - pieces[:, :1]
+    # h: differences of second order have the error h^2, and rounding 1e-16 / h
+    h = 1e-5
+    t = a + size * np.array([0, 0.25, 0.5, 0.75, 1, h, 2 * h, 1 - h, 1 - 2 * h])
+    x = evaluate(t.ravel()).reshape(*t.shape, 2)
+    middle = 2 * x[:, 2] - (x[:, 0] + x[:, 4]) / 2
+    met, usable = _tangents_meet(x[:, [0, 5, 6]], x[:, [4, 7, 8]], scale)
+    middle[usable] = met[usable]
+    s = np.array([[0.25], [0.5], [0.75]])
+    first, last = x[:, :1], x[:, 4:5]
+    fitted = (1 - s) ** 2 * first + 2 * s * (1 - s) * middle[:, None] + s**2 * last
+    off = (x[:, 1:4] - fitted) * scale
+    tangent = (x[:, 2:5] - x[:, :3]) * scale
+    length = np.linalg.norm(tangent, axis=2, keepdims=True)
+    tangent = tangent / np.maximum(length, 1e-300)
+    across = off[..., 0] * tangent[..., 1] - off[..., 1] * tangent[..., 0]
+    # along the curve the error may be larger, but must stay small against the piece
+    along = np.linalg.norm(off, axis=2).max(axis=1)
+    good = np.abs(across).max(axis=1) <= tolerance
+    good &= along <= 0.05 * length.min(axis=(1, 2)) + tolerance
+    return np.stack([x[:, 0], middle, x[:, 4]], axis=1), good
 
 
 def _tangents_meet(
-    evaluate: Callable[[np.ndarray], np.ndarray],
-    a: float,
-    b: float,
-    start: np.ndarray,
-    stop: np.ndarray,
-    scale: np.ndarray,
-) -> np.ndarray | None:
-    """Return where the tangents at the ends of a piece meet, None if not well between them.
+    start: np.ndarray, stop: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the tangents at the ends of pieces meet, and for which well between them.
 
     With it as control point the pieces join smoothly, and two curves that touch still do.
+
+    Parameters
+    ----------
+    start, stop : (N, 3, 2) arrays
+        The end, and two points at equal distances from it.
     """
-    h = 1e-5 * (b - a)  # differences of second order: error h^2, rounding 1e-16 / h
-    x = evaluate(np.array([a + h, a + 2 * h, b - h, b - 2 * h]))
-    out = (-3 * start + 4 * x[0] - x[1]) * scale
-    back = (-3 * stop + 4 * x[2] - x[3]) * scale
-    chord = (stop - start) * scale
-    det = back[0] * out[1] - back[1] * out[0]
+    weights = np.array([[-3.0], [4.0], [-1.0]])
+    out, back = ((weights * x).sum(axis=1) * scale for x in (start, stop))
+    chord = (stop[:, 0] - start[:, 0]) * scale
+
+    def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+    det = cross(back, out)
+    lengths = np.linalg.norm(out, axis=1), np.linalg.norm(back, axis=1)
     # tangents within 1e-4 of parallel do not say where they meet
-    if abs(det) <= 1e-4 * np.linalg.norm(out) * np.linalg.norm(back):
-        return None
-    along = (back[0] * chord[1] - back[1] * chord[0]) / det
-    other = (out[0] * chord[1] - out[1] * chord[0]) / det
-    length = np.linalg.norm(chord)
-    reach = along * np.linalg.norm(out), other * np.linalg.norm(back)
-    if min(reach) <= 0.05 * length or max(reach) >= length:
-        return None
-    return start + along * out / scale
+    usable = np.abs(det) > 1e-4 * lengths[0] * lengths[1]
+    det = np.where(usable, det, 1.0)
+    along, other = cross(back, chord) / det, cross(out, chord) / det
+    length = np.linalg.norm(chord, axis=1)
+    reach = np.stack([along * lengths[0], other * lengths[1]])
+    usable &= (reach.min(axis=0) > 0.05 * length) & (reach.max(axis=0) < length)
+    return start[:, 0] + along[:, None] * out / scale, usable
 
 
 def trimmed_patches(grid: PatchGrid, curves: list[np.ndarray]) -> list[np.ndarray] | str:

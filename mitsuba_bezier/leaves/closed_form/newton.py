@@ -67,41 +67,37 @@ def newton_converges(maps: np.ndarray, fractions: np.ndarray, n: int) -> np.ndar
     a, b = goal[..., 0] - 0.5, goal[..., 1] - 0.5
     start = np.maximum(goal, LEAST_START)
     u, v = (start / start.sum(axis=2, keepdims=True)).transpose(2, 0, 1)[:2] - 1 / 3
-    i, j = bernstein.multi_indices(n)[:, :2].T
-
-    def evaluate(u: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
-        """Return f and g, and their partials."""
-        ui, vj = u[..., None] ** i, v[..., None] ** j
-        ud, vd = i * u[..., None] ** np.maximum(i - 1, 0), j * v[..., None] ** np.maximum(j - 1, 0)
-        p = np.einsum("tpsk,pkc->ctps", np.stack([ui * vj, ud * vj, ui * vd]), fractions[..., :3])
-        f, g = p[0] - a * p[2], p[1] - b * p[2]
-        return [f[0], g[0], f[1], g[1], f[2], g[2]]
-
+    by_u, by_v, by_both = np.zeros((3, *u.shape))
     done = np.zeros(u.shape, dtype=bool)
     before = np.zeros(u.shape)
     back_u, back_v = np.zeros((2, *u.shape))
-    for _ in range(_STEPS):
-        f, g, fu, gu, fv, gv = evaluate(u, v)
+    left = np.arange(len(maps))
+    for step in range(_STEPS):
+        at = _evaluated(fractions[left], u[left], v[left], a[left], b[left], n)
+        f, g, fu, gu, fv, gv = at
+        by_u[left], by_v[left] = np.abs(fu) + np.abs(gu), np.abs(fv) + np.abs(gv)
+        by_both[left] = np.abs(fu - fv) + np.abs(gu - gv)
+        # one look after the last point has been found, for the partials there
+        busy = ~done[left].all(axis=1) | (step == 0)
+        if not busy.any():
+            break
+        left = left[busy]
+        f, g, fu, gu, fv, gv = (x[busy] for x in at)
         det = fu * gv - fv * gu
         du, dv = (fv * g - gv * f) / det, (gu * f - fu * g) / det
         size = np.maximum(np.abs(du), np.abs(dv))
-        by_u, by_v = np.abs(fu) + np.abs(gu), np.abs(fv) + np.abs(gv)
         area = np.abs(det)
         at_hand = np.maximum(np.abs(f), np.abs(g)) < ROUNDING
-        small = size**2 * (area + np.maximum(by_u, by_v)) < LAST_STEP**2 * area
-        too_far = (det <= LEAST_DROP * before) & ~at_hand
+        small = size**2 * (area + np.maximum(by_u[left], by_v[left])) < LAST_STEP**2 * area
+        too_far = (det <= LEAST_DROP * before[left]) & ~at_hand
         factor = np.where(at_hand & ~small, 0.0, np.minimum(1.0, 1.0 / size))
-        step_u = np.where(too_far, -back_u, np.where(factor > 0, factor * du, 0.0))
-        step_v = np.where(too_far, -back_v, np.where(factor > 0, factor * dv, 0.0))
-        back_u, back_v = (
-            np.where(too_far, 2 * back, BACK * step)
-            for back, step in ((back_u, step_u), (back_v, step_v))
-        )
-        u, v = np.where(done, u, u + step_u), np.where(done, v, v + step_v)
-        before = np.where(too_far, before, det)
-        done |= (small | at_hand) & ~too_far
+        for back, x, change in ((back_u, u, du), (back_v, v, dv)):
+            step_x = np.where(too_far, -back[left], np.where(factor > 0, factor * change, 0.0))
+            back[left] = np.where(too_far, 2 * back[left], BACK * step_x)
+            x[left] = np.where(done[left], x[left], x[left] + step_x)
+        before[left] = np.where(too_far, before[left], det)
+        done[left] |= (small | at_hand) & ~too_far
     # back into the triangle, by way of the parameter that moves the point least
-    by_both = np.abs(fu - fv) + np.abs(gu - gv)
     u, v = u + 1 / 3, v + 1 / 3
     v = np.where(by_u > by_both, v + np.minimum(u, 0.0), v)
     u = np.maximum(u, 0.0)
@@ -109,5 +105,25 @@ def newton_converges(maps: np.ndarray, fractions: np.ndarray, n: int) -> np.ndar
     v = np.maximum(v, 0.0)
     over = np.maximum(u + v - 1.0, 0.0)
     u, v = np.where(by_u < by_v, u - over, u), np.where(by_u < by_v, v, v - over)
-    f, g = evaluate(np.clip(u, 0.0, 1.0) - 1 / 3, np.clip(v, 0.0, 1.0) - 1 / 3)[:2]
+    u, v = np.clip(u, 0.0, 1.0) - 1 / 3, np.clip(v, 0.0, 1.0) - 1 / 3
+    f, g = _evaluated(fractions, u, v, a, b, n)[:2]
     return (np.maximum(np.abs(f), np.abs(g)) < 2 * ROUNDING).all(axis=1)
+
+
+def _evaluated(
+    fractions: np.ndarray, u: np.ndarray, v: np.ndarray, a: np.ndarray, b: np.ndarray, n: int
+) -> tuple[np.ndarray, ...]:
+    """Return ``(P, S)`` of f and g, and of their partials by u and by v."""
+    i, j = bernstein.multi_indices(n)[:, :2].T
+    powers = np.ones((2, n + 1, *u.shape))
+    for k in range(n):
+        powers[:, k + 1] = powers[:, k] * (u, v)
+    # by products of powers: numpy's own are twenty times slower
+    pu, pv = powers[0].transpose(1, 2, 0), powers[1].transpose(1, 2, 0)
+    ui, vj = pu[..., i], pv[..., j]
+    ud, vd = i * pu[..., np.maximum(i - 1, 0)], j * pv[..., np.maximum(j - 1, 0)]
+    out: list[np.ndarray] = []
+    for monomials in (ui * vj, ud * vj, ui * vd):
+        x, y, total = (monomials @ fractions[..., :3]).transpose(2, 0, 1)
+        out += [x - a * total, y - b * total]
+    return tuple(out)
