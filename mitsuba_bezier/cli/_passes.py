@@ -14,7 +14,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -218,6 +218,19 @@ class Shot:
         )
         return {self.denoised: data, **self._encode_preview(mean)}
 
+    def finished(self) -> bool:
+        """Tell whether the picture is there as it was asked for, with nothing left to do."""
+        with suppress(FileFormatError):
+            if self.output.is_file() and not self.sums.exists():
+                found = read_image(self.output).attributes
+                same = all(found.get(key) == self.identity.get(key) for key in (*SAME, "seed"))
+                if self.args.until_noise is not None:
+                    done = found.get("noise", 1.0) <= self.args.until_noise
+                else:
+                    done = found.get("spp_asked") == self.asked
+                return bool(same and done and found.get("stopped_by") in ("spp", "noise"))
+        return False
+
     def better(self) -> int:
         """Return the samples of a picture of this render that lies there, 0 if none does."""
         with suppress(FileFormatError, TypeError, ValueError):
@@ -230,8 +243,18 @@ class Shot:
         return 0
 
 
-def render(shot: Shot, say: Callable[[str], None]) -> None:
-    """Render what is not there yet, and write the files."""
+def render(shot: Shot, say: Callable[[str], None], client: Any = None) -> None:
+    """Render what is not there yet, and write the files.
+
+    Parameters
+    ----------
+    shot : Shot
+        What is to be rendered.
+    say : callable
+        Tells the user something.
+    client : distributed.Client, optional
+        Connected already; by default it is, if workers are asked for.
+    """
     args, plan = shot.args, shot.plan
     picture = _begin(shot, say)
     before = picture.total.spp
@@ -263,7 +286,7 @@ def render(shot: Shot, say: Callable[[str], None]) -> None:
         keeper.at_end(),
     ):
         if args.workers or args.scheduler:
-            _render_by_many(shot, picture, goal, report, keeper, say)
+            _render_by_many(shot, picture, goal, report, keeper, say, client)
         else:
             _render_here(shot, picture, goal, report, keeper)
         stop()
@@ -304,6 +327,7 @@ def _render_by_many(
     report: Callable[[], None],
     keeper: Keeper,
     say: Callable[[str], None],
+    client: Any,
 ) -> None:
     """Render by the workers of dask."""
     from ..rendering.farm import Farm
@@ -315,7 +339,7 @@ def _render_by_many(
     last = shot.indices[-1]
     before = time.perf_counter()
     had = picture.seconds
-    with _many.connected(shot.args) as client:
+    with _many.connected(shot.args) if client is None else nullcontext(client) as client:
         job = _many.prepare(client, shot, note)
         farm = Farm(
             client,

@@ -84,7 +84,8 @@ def work(job: Job, indices: Sequence[int]) -> Rendered:
 
 def _scene_of(job: Job) -> tuple[Any, Any, Any]:
     """Return scene, sensor and integrator, which are loaded once."""
-    if job.digest not in _loaded:
+    key = repr((job.digest, sorted(job.identity.items())))
+    if key not in _loaded:
         from . import _inputs
 
         if job.digest not in _bundles:
@@ -107,8 +108,8 @@ def _scene_of(job: Job) -> tuple[Any, Any, Any]:
             )
         sensor = loaded.scene.sensors()[args.sensor]
         _loaded.clear()
-        _loaded[job.digest] = loaded.scene, sensor, loaded.integrator
-    found: tuple[Any, Any, Any] = _loaded[job.digest]
+        _loaded[key] = loaded.scene, sensor, loaded.integrator
+    found: tuple[Any, Any, Any] = _loaded[key]
     return found
 
 

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     parsed = main.parse(["render", *words])
     variant = render.set_variant(parsed.mode)
     loaded = _inputs.load(parsed, variant)
-    sensor = render.chosen_sensor(loaded.scene, parsed.sensor)
+    sensor = _inputs.chosen_sensor(loaded.scene, parsed.sensor)
     spp = parsed.spp or sensor.sampler().sample_count()
     if spp < args.parts:
         raise BezierError.expected("--parts", f"no more than the {spp} samples a pixel", args.parts)

@@ -17,7 +17,7 @@ from ._flags import duration, noise_level, seconds
 from ._limits import add_limits
 from ._streams import printable
 
-__all__ = ["add_parser", "chosen_sensor", "run", "set_variant", "stops"]
+__all__ = ["add_parser", "run", "set_variant", "stops"]
 
 DEFAULT_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
@@ -239,7 +239,7 @@ def run(args: argparse.Namespace) -> int:
     loaded = _inputs.load(args, variant)
     for note in loaded.notes:
         say(f"mitsuba-bezier: {printable(note)}")
-    sensor = chosen_sensor(loaded.scene, args.sensor)
+    sensor = _inputs.chosen_sensor(loaded.scene, args.sensor)
     _passes.render(_passes.Shot(args, loaded, sensor, variant, output), say)
     return 0
 
@@ -266,12 +266,3 @@ def _log_level(mi: Any, args: argparse.Namespace) -> Any:
         return mi.LogLevel.Error
     levels = [mi.LogLevel.Warn, mi.LogLevel.Info, mi.LogLevel.Debug, mi.LogLevel.Trace]
     return levels[min(args.verbose, 3)]
-
-
-def chosen_sensor(scene: Any, index: int) -> Any:
-    """Return a sensor of a scene."""
-    sensors = scene.sensors()
-    if index >= len(sensors):
-        expected = f"a number below {len(sensors)}" if sensors else "a scene with a sensor"
-        raise BezierError.expected("--sensor", expected, index if sensors else "none")
-    return sensors[index]

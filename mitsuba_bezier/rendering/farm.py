@@ -8,6 +8,8 @@ in which order, and from whom.
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -81,7 +83,9 @@ class Farm:
         self.picture, self._seed, self._identity, self._size = picture, seed, identity, size
         self._note = note
         self._out: dict[Any, _Part] = {}
+        self._arrived: queue.Queue[tuple[Any, Any]] = queue.Queue()
         self._doubts: Counter[str] = Counter()
+        self._silent: set[str] = set()
         self._seconds = 0.0
         self._measured = 0
         self._looked = 0.0
@@ -112,8 +116,6 @@ class Farm:
         BezierError
             If a part fails on several workers, or none is left.
         """
-        from distributed import wait
-
         waiting = [i for i in indices if i not in self.picture.done]
         at, ended = 0, False
         try:
@@ -126,12 +128,8 @@ class Farm:
                     at += len(chosen)
                 if not self._out:
                     raise BezierError.expected("workers", "one that can be trusted", "none")
-                try:
-                    done = wait(list(self._out), timeout=LOOK, return_when="FIRST_COMPLETED").done
-                except TimeoutError:
-                    done = set()
-                for future in done:
-                    if future in self._out and self._take(future, workers):
+                for future, answer in self._answers():
+                    if future in self._out and self._take(future, answer, workers):
                         progress()
                         if not ended and at < len(waiting) and stop(waiting[at]):
                             ended = True
@@ -139,6 +137,16 @@ class Farm:
                 self._look_for_late(workers)
         finally:
             self._cancel()
+
+    def _answers(self) -> list[tuple[Any, Any]]:
+        """Return what has come, with the futures; wait for the first for a while."""
+        try:
+            found = [self._arrived.get(timeout=LOOK)]
+        except queue.Empty:
+            return []
+        while not self._arrived.empty():
+            found.append(self._arrived.get())
+        return found
 
     def _whole(self, indices: list[int]) -> list[int]:
         """Let a pass that is cut short be a part of its own."""
@@ -153,10 +161,13 @@ class Farm:
     def _trusted(self) -> list[str]:
         """Return the addresses of the workers that may have parts."""
         every = list(self._client.scheduler_info(n_workers=-1)["workers"])
-        return [address for address in every if self._doubts[address] < TRUST]
+        good = [address for address in every if self._doubts[address] < TRUST]
+        # who does not answer gets no more until it does, unless there is nobody else
+        return [address for address in good if address not in self._silent] or good
 
     def _send(self, part: _Part, workers: Sequence[str]) -> None:
-        restricted = any(count >= TRUST for count in self._doubts.values()) or part.begun
+        doubted = any(count >= TRUST for count in self._doubts.values())
+        restricted = doubted or self._silent or part.begun
         future = self._client.submit(
             _guarded,
             self._function,
@@ -171,25 +182,30 @@ class Farm:
         )
         self._out[future] = part
         part.begun.setdefault(future.key, 0.0)
+        # a thread for each, since a result may lie with a worker that does not give it away
+        threading.Thread(target=self._fetch, args=(future,), daemon=True).start()
 
-    def _take(self, future: Any, workers: Sequence[str]) -> bool:
+    def _fetch(self, future: Any) -> None:
+        """Wait for what comes, however long that takes."""
+        answer: Any
+        try:
+            answer = future.result()
+        except (Exception, CancelledError) as error:  # of dask: a worker died too often
+            answer = "a worker", error
+        self._arrived.put((future, answer))
+
+    def _take(self, future: Any, answer: Any, workers: Sequence[str]) -> bool:
         """Take what came; send it out again if it cannot be used; tell whether it can."""
         part = self._out.pop(future)
         if part.indices[0] in self.picture.done:
             return False
-        source = "a worker"
-        reason: BaseException
-        try:
-            source, rendered = future.result()
-        except (Exception, CancelledError) as error:  # of dask: its worker died too often
-            reason = error
-        else:
-            found = self._judged(rendered, part)
-            if found is None:
-                self._add(part, source, rendered)
-                return True
-            reason = found
-            self._doubts[source] += 1
+        source, rendered = answer
+        self._silent.discard(source)
+        reason = self._judged(rendered, part)
+        if reason is None:
+            self._add(part, source, rendered)
+            return True
+        self._doubts[source] += 1
         part.failed += 1
         words = " ".join(str(reason).split()) or type(reason).__name__
         if part.failed >= ATTEMPTS:
@@ -202,11 +218,11 @@ class Farm:
             self._send(part, others)
         return False
 
-    def _judged(self, rendered: Any, part: _Part) -> Exception | None:
+    def _judged(self, rendered: Any, part: _Part) -> BaseException | None:
         """Return why what came cannot be used, or None; raise what is an error of the scene."""
         if isinstance(rendered, BezierError) and not getattr(rendered, "of_machine", False):
             raise rendered  # it would be the same everywhere
-        if isinstance(rendered, Exception):
+        if isinstance(rendered, (Exception, CancelledError)):
             return rendered
         try:
             check(rendered, part.indices, self._seed, self._identity, self._size)
@@ -229,9 +245,13 @@ class Farm:
         if now - self._looked < LOOK or not self._out:
             return
         self._looked = now
-        places = {
-            key: address for address, keys in self._client.processing().items() for key in keys
-        }
+        try:
+            asked = self._client.processing().items()
+            held = self._client.who_has(list(self._out)).items()
+        except (OSError, TimeoutError):
+            return
+        places = {key: address for address, keys in asked for key in keys}
+        places |= {key: next(iter(addresses)) for key, addresses in held if addresses}
         for future, part in list(self._out.items()):
             address = places.get(future.key)
             if address is None:
@@ -243,6 +263,7 @@ class Farm:
             others = [other for other in workers if other != address]
             if now - max(begun, part.doubled) > patience and others:
                 part.doubled = now
+                self._silent.add(address)
                 self._note(
                     f"note: {address} has not answered for {now - begun:.0f} s: its part is "
                     "rendered again elsewhere"

@@ -38,7 +38,7 @@ class Goal:
 
     noise: float | None = None
     seconds: float | None = None
-    started: float = field(default_factory=time.perf_counter)
+    started: float = field(default_factory=lambda: time.perf_counter())
     stopped_by: str = ""
     _slowest: float = 0.0
 

@@ -273,11 +273,11 @@ class Accumulator:
 
             sum w_i (L_i - L)^2 / ((passes - 1) sum w_i),
 
-        the square of its standard error, and divided by L. In a pixel that is darker than a
+        the square of its standard error, and divided by L^2. In a pixel that is darker than a
         hundredth of the picture's mean it is divided by that; a picture may be black in places.
-        The mean over all pixels is corrected for what a standard deviation of few passes is too
-        small by, were they normally distributed. It takes two passes at least, `squares`, and
-        colours.
+        These squares are averaged over a pixel and its eight neighbours before the root is taken:
+        of few passes, in which rare bright paths may be missing, each alone would be too small. It
+        takes two passes at least, `squares`, and colours.
         """
         if self._square is None or self._weight is None or self.passes < 2:
             return None
@@ -295,10 +295,26 @@ class Accumulator:
         floor = DARK * float(mean[usable].mean())
         if floor == 0:
             return 0.0
-        error = np.sqrt(square[usable]) / np.maximum(mean[usable], floor)
-        n = self.passes
+        relative = np.where(
+            usable, square / np.maximum(np.where(usable, mean, 1.0), floor) ** 2, 0.0
+        )
+        known = _around(usable.astype(np.float64))
+        error = np.sqrt(_around(relative)[usable] / known[usable])
+        # what is left of a root's bias, were all normally distributed and alike around a pixel
+        n = float(9 * (self.passes - 1)) + 1
         small = math.sqrt(2 / (n - 1)) * math.exp(math.lgamma(n / 2) - math.lgamma((n - 1) / 2))
         return float(error.mean()) / small
+
+
+def _around(values: np.ndarray) -> np.ndarray:
+    """Return the sums over 3 x 3 pixels; beyond the rim there is nothing."""
+    for axis in (0, 1):
+        padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in (0, 1)])
+        low, middle, high = (
+            np.take(padded, range(k, k + values.shape[axis]), axis=axis) for k in range(3)
+        )
+        values = low + middle + high
+    return values
 
 
 def _luminance(channels: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -350,3 +350,129 @@ def test_what_was_reached_is_told(folder, capsys):
     assert document["spp_before"] == 0 and 0 < document["noise"] < 0.2
     assert isinstance(read_image("a.exr"), Image)
     assert f"noise {document['noise']:.2%}" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- frames
+
+
+def frames(*more: str):
+    from mitsuba_bezier.cli import _frames
+
+    said: list[str] = []
+    todo = []
+    for seed in (1, 2, 3):
+        words = ["render", *WORDS, "--seed", str(seed), *more]
+        todo.append((main.parse(words), Path(f"f{seed}.exr")))
+    assert _frames.render_frames(todo, "llvm_ad_rgb", said.append) == [path for _, path in todo]
+    return "\n".join(said)
+
+
+def test_frames_that_are_there_stay_and_the_others_go_on(folder, monkeypatch):
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    real, count = passes.render_pass, 0
+
+    def counted(*arguments):
+        nonlocal count
+        count += 1
+        if count == 9:  # 6 passes of the first frame, 2 of the second
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(passes, "render_pass", counted)
+    with pytest.raises(KeyboardInterrupt):
+        frames("-q")
+    assert read_image("f2.exr").attributes["spp"] == 8 and not os.path.exists("f3.exr")
+    said = frames("-q")
+    assert "frame 1 of 3 is there" in said and "going on from 8 spp in f2.sums.exr" in said
+    assert count == 9 + 4 + 6
+    assert said.count("is there") == 1 and frames("-q").count("is there") == 3
+    assert render(*WORDS, "--seed", "2", "-q", "-o", "whole.exr") == 0
+    same("f2.exr", "whole.exr")
+    assert "is there" not in frames("-q", "--fresh")
+    assert _frames_of_none() == []
+
+
+def _frames_of_none() -> list[Path]:
+    from mitsuba_bezier.cli import _frames
+
+    return _frames.render_frames([], "llvm_ad_rgb", print)
+
+
+# ---------------------------------------------------------------- good enough
+
+
+@pytest.mark.parametrize("noise", [0.03, 0.012])
+def test_it_stops_at_the_noise_asked_for(folder, capsys, noise):
+    words = ("ball.xml", "-q", "--until-noise", str(noise), "--json", "-", "-o", "a.exr")
+    assert render(*words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["stopped_by"] == "noise" and found["noise_asked"] == noise
+    # the last pass added a quarter of the samples at the most
+    assert 0.8 * noise < found["noise"] <= noise
+    assert read_image("a.exr").attributes["noise"] == pytest.approx(found["noise"], rel=1e-6)
+    # and goes on from there to less, as in one run
+    assert render(*words[:2], "--until-noise", str(noise / 2), "-o", "a.exr") == 0
+    assert render(*words[:2], "--until-noise", str(noise / 2), "-o", "b.exr") == 0
+    same("a.exr", "b.exr")
+
+
+def test_the_samples_are_the_upper_limit(folder, capsys):
+    assert render("ball.xml", "--until-noise", "1e-4", "--spp", "20", "-o", "a.exr") == 0
+    assert "of 0.01% (stopped by spp)" in capsys.readouterr().err
+    assert read_image("a.exr").attributes["spp"] == 20
+    assert not os.path.exists("a.sums.exr")
+
+
+def test_it_stops_in_time(folder, monkeypatch):
+    from mitsuba_bezier.rendering import goal
+
+    now = 0.0
+    real = passes.render_pass
+
+    def slow(*arguments):
+        nonlocal now
+        now += 2.0
+        return real(*arguments)
+
+    monkeypatch.setattr(goal.time, "perf_counter", lambda: now)
+    monkeypatch.setattr(passes, "render_pass", slow)
+    words = ("ball.xml", "-q", "--spp-per-pass", "4", "--time", "15s", "-o", "a.exr")
+    assert render(*words) == 0
+    picture = read_image("a.exr").attributes
+    # of 2 s each; an eighth would end after 16
+    assert picture["spp"] == 28 and picture["stopped_by"] == "time"
+    assert "spp_asked" not in picture
+    assert render(*words) == 0  # and as long again
+    assert read_image("a.exr").attributes["spp"] == 56
+
+
+@pytest.mark.parametrize(
+    ("flag", "value", "message"),
+    [
+        ("--until-noise", "0", "expected a relative error"),
+        ("--until-noise", "200%", "expected a relative error"),
+        ("--until-noise", "nan", "expected a relative error"),
+        ("--time", "0", "expected a time"),
+        ("--time", "10 parsecs", "expected a time"),
+        ("--time", "-5m", "expected"),
+        ("--save-every", "-1", "expected seconds"),
+    ],
+)
+def test_values_that_are_none(folder, capsys, flag, value, message):
+    assert render("ball.xml", f"{flag}={value}") == 2
+    assert message in capsys.readouterr().err
+
+
+def test_times_of_all_kinds():
+    from mitsuba_bezier.cli._flags import duration, noise_level
+
+    times = {"90": 90, "90s": 90, "10m": 600, "1h30m": 5400, "1.5 h": 5400, "2d": 172800}
+    assert {text: duration(text) for text in times} == times
+    assert noise_level("2%") == noise_level("0.02") == 0.02
+
+
+def test_parts_end_at_their_samples_only(folder, capsys):
+    assert render(*WORDS, "--part", "1/2", "--time", "5s") == 2
+    assert "--part: expected neither --until-noise nor --time" in capsys.readouterr().err

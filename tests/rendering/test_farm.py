@@ -144,7 +144,7 @@ def test_one_bad_worker_does_no_harm(client, monkeypatch, role):
     words |= {"lies": "sums of size"}
     assert role == "good" or any(words[role] in note for note in notes)
     if role in ("damages", "lies"):  # it gets no more
-        assert len(notes) <= 4
+        assert sum("failed at" in note for note in notes) <= 4
 
 
 def test_what_is_there_is_not_rendered_again(client, monkeypatch):
