@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,44 @@ OBJ = (
 OFF = "OFF\n4 2 5\n" + "".join(f"{x} {y} {z}\n" for x, y, z in CORNERS) + "3 0 1 2\n3 0 2 3\n"
 GRID = [[i, j, i * j / 9] for j in range(4) for i in range(4)]
 BEZ = "BEZ333\n" + "".join("{} {} {}\n".format(*p) for p in GRID)
+
+
+_PLACES = " ".join(f"{x} {y} {z}" for x, y, z in CORNERS)
+VTK = (
+    "# vtk DataFile Version 3.0\ntwo triangles\nASCII\nDATASET POLYDATA\n"
+    f"POINTS 4 double\n{_PLACES}\nPOLYGONS 2 8\n3 0 1 2 3 0 2 3\n"
+)
+VTP = (
+    '<VTKFile type="PolyData" version="1.0"><PolyData><Piece NumberOfPoints="4" NumberOfPolys="2">'
+    '<Points><DataArray type="Float64" NumberOfComponents="3" format="ascii">'
+    f"{_PLACES}</DataArray></Points><Polys>"
+    '<DataArray type="Int64" Name="connectivity" format="ascii">0 1 2 0 2 3</DataArray>'
+    '<DataArray type="Int64" Name="offsets" format="ascii">3 6</DataArray>'
+    "</Polys></Piece></PolyData></VTKFile>"
+)
+
+
+def _simplex(path: Path) -> None:
+    """Write one triangle as pytorch-bsf does."""
+    keys = ("(1, 0, 0)", "(0, 1, 0)", "(0, 0, 1)")
+    rows = {key: list(map(float, p)) for key, p in zip(keys, CORNERS)}
+    if path.suffix == ".json":
+        path.write_text(json.dumps(rows))
+    elif path.suffix in (".yaml", ".yml"):
+        path.write_text("".join(f"{key}: {p}\n" for key, p in rows.items()))
+    else:
+        mark, between = ('"', ",") if path.suffix == ".csv" else ("", "\t")
+        lines = (between.join([f"{mark}{k}{mark}", *map(str, p)]) for k, p in rows.items())
+        path.write_text("\n".join(lines) + "\n")
+
+
+def _pieces(path: Path) -> None:
+    """Write a sphere as one piece of a file."""
+    _net(path.with_name("piece.vtu"))
+    path.write_text(
+        '<VTKFile type="PUnstructuredGrid" version="1.0"><PUnstructuredGrid>'
+        '<Piece Source="piece.vtu"/></PUnstructuredGrid></VTKFile>'
+    )
 
 
 def _text(text: str):
@@ -96,17 +135,25 @@ FILES = {
     ".bez": (_text(BEZ), None),
     ".brep": (_cad, 8 * np.pi),
     ".bv": (_net, 4 * np.pi),
+    ".csv": (_simplex, 0.5 * np.hypot(1, 0.5)),
     ".iges": (_cad, 8 * np.pi),
     ".igs": (_cad, 8 * np.pi),
     ".inp": (_meshio(INP), "flat"),
+    ".json": (_simplex, 0.5 * np.hypot(1, 0.5)),
     ".mesh": (_meshio(MESH), "flat"),
     ".msh": (_text(MSH), "flat"),
     ".nas": (_meshio(BDF), "flat"),
     ".obj": (_text(OBJ), None),
     ".off": (_text(OFF), "flat"),
+    ".pvtu": (_pieces, 4 * np.pi),
     ".step": (_cad, 8 * np.pi),
     ".stp": (_cad, 8 * np.pi),
+    ".tsv": (_simplex, 0.5 * np.hypot(1, 0.5)),
+    ".vtk": (_text(VTK), "flat"),
+    ".vtp": (_text(VTP), "flat"),
     ".vtu": (_net, 4 * np.pi),
+    ".yaml": (_simplex, 0.5 * np.hypot(1, 0.5)),
+    ".yml": (_simplex, 0.5 * np.hypot(1, 0.5)),
 }
 #: Of the two triangles (0,0,0), (1,0,0), (1,1,.5) and (0,0,0), (1,1,.5), (0,1,0).
 FLAT = 2 * 0.5 * np.hypot(1, 0.5)

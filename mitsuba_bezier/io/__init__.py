@@ -55,7 +55,15 @@ _READERS = {
     ".off": "geomview.read_off",
     ".step": "cad.opencascade.read",
     ".stp": "cad.opencascade.read",
+    ".csv": "bsf.read",
+    ".json": "bsf.read",
+    ".pvtu": "vtk.parallel.read_pvtu",
+    ".tsv": "bsf.read",
+    ".vtk": "vtk.legacy.read",
+    ".vtp": "vtk.parallel.read_polygons",
     ".vtu": "vtk.reader.read",
+    ".yaml": "bsf.read",
+    ".yml": "bsf.read",
 }
 #: Options of the writers, by suffix.
 _OPTIONS = {
@@ -63,9 +71,9 @@ _OPTIONS = {
     ".vtu": ("encoding", "trims", "attributes", "fields", "edges"),
 }
 #: Suffixes of the formats whose patches can have trims.
-_TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu")
+_TRIMMED = (".3dm", ".brep", ".iges", ".igs", ".obj", ".step", ".stp", ".vtu", ".pvtu")
 #: Suffixes of the formats that have fields.
-_WITH_FIELDS = (".mesh", ".msh", ".vtu")
+_WITH_FIELDS = (".mesh", ".msh", ".pvtu", ".vtk", ".vtp", ".vtu")
 _WRITERS = {".bv": "bezierview.write", ".ply": "ply.write", ".vtu": "vtk.writer.write"}
 
 

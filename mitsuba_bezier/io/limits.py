@@ -125,12 +125,17 @@ def too_large(path: str | PathLike[str], got: str = "one that takes more") -> Fi
     )
 
 
-def check_memory(path: str | PathLike[str], count: int, what: str) -> None:
-    """Raise `FileFormatError` if `count` bytes for `what` are more than the limit."""
-    if count > memory_limit(_size(path)):
+def check_memory(path: str | PathLike[str], count: int, what: str, more: int = 0) -> None:
+    """Raise `FileFormatError` if `count` bytes for `what` are more than the limit.
+
+    Of a file with others of `more` bytes it is that of all.
+    """
+    if count > memory_limit(_size(path) + more):
         raise too_large(path, f"{what}, which take {count / (1 << 30):.3g} GiB")
 
 
-def check_control_points(path: str | PathLike[str], count: int, what: str = "") -> None:
+def check_control_points(
+    path: str | PathLike[str], count: int, what: str = "", more: int = 0
+) -> None:
     """Raise `FileFormatError` if a model of `count` control points takes more than the limit."""
-    check_memory(path, count * _POINT, what or f"{count} control points")
+    check_memory(path, count * _POINT, what or f"{count} control points", more)

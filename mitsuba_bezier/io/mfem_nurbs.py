@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import GeometryError
 from .cells import CellField, Cells, add_cells
 from .files import damaged
+from .limits import check_memory
 from .mfem_spaces import Space, check_kind, read_space
 from .mfem_topology import GEOMETRIES, Topology
 from .nurbs import surface_to_bezier
@@ -279,6 +280,9 @@ def _add_face(
         except GeometryError as error:
             raise damaged(str(patches.path), "knot vectors that fit", str(error)) from None
 
+    spans = [len(np.unique(own.knots)) for own in (u, v)]
+    size = 32 * spans[0] * spans[1] * (degrees[0] + 1) * (degrees[1] + 1)
+    check_memory(str(patches.path), size, f"{spans[0]} x {spans[1]} spans")
     bezier = pieces(net)
     count, size = len(bezier), bezier.shape[1] * bezier.shape[2]
     points = bezier.reshape(-1, 4)

@@ -227,6 +227,8 @@ class Collector:
 
     def __init__(self, path: object, format: str) -> None:
         self.report = Report(str(path), format)
+        #: Bytes of further files, by which it may take more memory.
+        self.size = 0
         self._points = 0
         self._nets: dict[int, list[np.ndarray]] = {}
         self._sources: dict[int, list[np.ndarray]] = {}
@@ -243,7 +245,8 @@ class Collector:
             If all of them take more memory than a file of this size may.
         """
         self._points += points
-        check_control_points(self.report.path, self._points, f"field {what!r}" if what else "")
+        name = f"field {what!r}" if what else ""
+        check_control_points(self.report.path, self._points, name, self.size)
 
     def add(
         self,

@@ -15,7 +15,7 @@ from mitsuba_bezier import io
 from mitsuba_bezier.errors import FileFormatError
 
 TEXT = sorted(
-    set(FILES) - {".3dm", ".vtu"}  # binary, and XML, which is tested below
+    set(FILES) - {".3dm", ".pvtu", ".vtp", ".vtu"}  # binary, and XML, which is tested below
 )
 
 #: What editors make of a text.
