@@ -13,6 +13,7 @@ from .paraxial import FirstOrder, first_order
 from .patches import lens_shapes, surface_patches
 from .readers import load
 from .report import report
+from .scaling import focused, stopped_down
 from .trace import Trace, trace
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "draw_section",
     "draw_spots",
     "first_order",
+    "focused",
     "glass",
     "lens_shapes",
     "load",
@@ -38,6 +40,7 @@ __all__ = [
     "report",
     "save_figure",
     "spot",
+    "stopped_down",
     "surface_patches",
     "trace",
     "used_semi_diameters",

@@ -38,6 +38,10 @@ PARAMETERS = {
         *("maximum", "levels", "isolines", "isoline_width", "isoline_color", "edges", "edge_width"),
         *("edge_color", "world_to_pixel", "texcoords"),
     ),
+    "lens": (
+        *("filename", "film_width", "focus_distance", "f_number", "scale", "dispersion"),
+        *("to_world", "shutter_open", "shutter_close"),
+    ),
     "bezierpath": _PATH,
     "beziervolpath": _PATH,
     "bezieraov": ("aovs", "hide_emitters"),

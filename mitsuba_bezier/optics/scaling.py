@@ -1,0 +1,59 @@
+"""Focus a lens at a distance, and stop it down."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import PrescriptionError
+from .lens import Lens
+from .paraxial import first_order
+
+
+def focused(lens: Lens, distance: float) -> Lens:
+    """Return the lens with its image plane moved to where a plane at `distance` is in focus.
+
+    What a design has its image plane off the paraxial one, to balance aberrations, stays.
+
+    Parameters
+    ----------
+    lens : Lens
+        The lens.
+    distance : float
+        From the first vertex, in the lens's unit; infinity is allowed.
+
+    Raises
+    ------
+    PrescriptionError
+        If the distance is within the focal length: such a plane has no real image.
+    """
+    last = lens.surfaces[-1]
+    design = first_order(lens).image
+    offset = last.thickness - design if np.isfinite(design) else 0.0
+    image = first_order(replace(lens, object_distance=float(distance))).image
+    thickness = image + offset
+    if not (np.isfinite(thickness) and thickness > 0):
+        raise PrescriptionError(
+            f"focus_distance: expected more than the front focal length, got {distance:g} "
+            f"{lens.unit}"
+        )
+    surfaces = [*lens.surfaces[:-1], replace(last, thickness=thickness)]
+    return replace(lens, surfaces=surfaces, object_distance=float(distance))
+
+
+def stopped_down(lens: Lens, f_number: float) -> Lens:
+    """Return the lens with its stop at an f-number.
+
+    Raises
+    ------
+    PrescriptionError
+        If no surface is marked as the stop.
+    """
+    if not any(s.stop for s in lens.surfaces):
+        raise PrescriptionError("stop: expected a surface that is the stop, got none")
+    if not 0 < f_number < np.inf:
+        raise PrescriptionError(f"f_number: expected a positive number, got {f_number}")
+    size = first_order(replace(lens, aperture=("f_number", f_number))).stop_semi_diameter
+    surfaces = [replace(s, semi_diameter=size) if s.stop else s for s in lens.surfaces]
+    return replace(lens, surfaces=surfaces, aperture=("f_number", f_number))
