@@ -207,16 +207,16 @@ class _Case:
 
     def _keep(self, test: Image, candidate: bool = True) -> None:
         """Write the render, and what would become the reference."""
-        from ..verification.images import encode_exr
+        from .shot import encode
 
         folder = self._settings.artifacts
         name = f"{self._kept}.exr"
-        folder.write(name, encode_exr(test.channels, test.attributes))
+        folder.write(name, encode(test))
         self._record.image = name
         if candidate and self._settings.candidates:
             new, _first = self._render_reference()
             name = f"{self._kept}.candidate.exr"
-            folder.write(name, encode_exr(new.channels, new.attributes))
+            folder.write(name, encode(new, self._settings.compression))
             self._record.candidate = name
         self._thumbnail(test)
 
@@ -231,8 +231,9 @@ class _Case:
 
     def _accept(self) -> Comparison:
         """Write the reference anew; the test is told to be skipped when it ends."""
+        from .._files import write_file
         from ..verification.comparison import compare_images
-        from .shot import write
+        from .shot import encode
 
         if not self._claim():
             self._fail(
@@ -241,7 +242,8 @@ class _Case:
                 "limits",
             )
         new, first = self._render_reference()
-        write(self._reference, new)
+        data = encode(new, self._settings.compression)
+        write_file(self._reference, data, make_folders=True)
         # what is wrong with the test shows in one of its own passes, too
         result = compare_images(new, first, self._thresholds, self._name)
         self._record.notes, self._record.state = result.notes, "accepted"

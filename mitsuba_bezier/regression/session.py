@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from fnmatch import fnmatch
 from pathlib import Path
@@ -9,9 +10,12 @@ from typing import Any
 
 import pytest
 
+from .._files import write_file
 from ..errors import BezierError
+from ..verification import history, runs
 from ..verification.accept import digest, fits
 from ..verification.records import STATES, Record, relative, without_folders
+from ..verification.summary import append_summary, github_lines, markdown
 from .settings import Settings, settings
 
 __all__ = ["Collector", "collected"]
@@ -57,6 +61,7 @@ class Collector:
         self._config = config
         self._records: dict[str, Record] = {}
         self._lines: list[str] = []
+        self._annotations: list[str] = []
         self._finished: set[str] = set()
         self._incomplete = False
         self._started = False
@@ -98,9 +103,7 @@ class Collector:
         if not self._settings.generates:
             for record in self._removed():
                 self._records[record.title] = record
-        records = sorted(
-            self._records.values(), key=lambda r: (STATES.index(r.state), -r.size, r.title)
-        )
+        records = runs.sort(list(self._records.values()))
         for line in _told(records):
             self._lines.append(line)
         try:
@@ -151,17 +154,31 @@ class Collector:
         return out
 
     def _write(self, records: list[Record]) -> None:
-        from .results import write_results
-
         own = self._settings
         command = without_folders(
             shlex.join(["pytest", *map(str, self._config.invocation_params.args)]), [own.root]
         )
-        path, note = write_results(own, records, command)
-        self._lines += [f"report: {path}", *([f"report: {note}"] if note else [])]
+        run = runs.about_run(own.root, own.artifacts.folder, records, command)
+        own.artifacts.write(runs.RESULTS, runs.encode(run, records))
+        chosen = bool(self._config.getoption("--bezier-report"))
+        kept = [(record, own.artifacts.folder) for record in records]
+        write = None if chosen else own.artifacts.write
+        note = runs.write_run_report(own.report, own.root, run, kept, own.form, write)
+        # artefacts may have gone to another folder: the report is where they are
+        self._lines += [f"report: {own.report}", *([f"report: {note}"] if note else [])]
+        run["report"] = relative(own.report, own.root)
+        for path in own.summaries:
+            append_summary(markdown(run, records), path)
+        if own.history is not None:
+            path = own.history / history.file_name(run)
+            write_file(path, runs.encode(run, records, pictures=False), make_folders=True)
+        if os.environ.get("GITHUB_ACTIONS") == "true":
+            self._annotations = github_lines(records)
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Tell the user what is worth knowing, and where the report is."""
+        for line in self._annotations:
+            terminalreporter.write_line(line)
         if self._lines:
             terminalreporter.write_sep("-", "render regression")
             for line in self._lines:

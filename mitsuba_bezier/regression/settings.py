@@ -47,6 +47,12 @@ def add_options(parser: pytest.Parser) -> None:
         help="all of the report in one page, pictures in a folder beside it, or one page if it is "
         "not too large (auto)",
     )
+    add(
+        "--bezier-summary",
+        metavar="FILE",
+        help="add what became of the renders to a Markdown file (also to $GITHUB_STEP_SUMMARY)",
+    )
+    add("--bezier-history", metavar="DIR", help="write the figures of this run to a file there")
     ini = parser.addini
     ini(
         "bezier_reference_dir",
@@ -67,6 +73,12 @@ def add_options(parser: pytest.Parser) -> None:
         type="bool",
         default=True,
     )
+    ini(
+        "bezier_compression",
+        "of references: zip, exact, or dwaa, smaller, where exact values are not needed (zip)",
+        default="zip",
+    )
+    ini("bezier_history", "folder for the figures of each run, below the root", default="")
     ini("bezier_report_form", "auto, page or folder: see --bezier-report-form", default="auto")
     ini(
         "bezier_strict",
@@ -123,6 +135,28 @@ class Settings:
         if chosen:
             return Path(self.config.invocation_params.dir, chosen)
         return self.artifacts.folder / "report.html"
+
+    @property
+    def compression(self) -> str:
+        """How references are packed."""
+        return str(self.config.getini("bezier_compression"))
+
+    @property
+    def summaries(self) -> list[Path]:
+        """Files that a summary is added to."""
+        own = self.config.getoption("--bezier-summary")
+        names = [Path(self.config.invocation_params.dir, own)] if own else []
+        github = os.environ.get("GITHUB_STEP_SUMMARY")
+        return [*names, *([Path(github)] if github else [])]
+
+    @property
+    def history(self) -> Path | None:
+        """Where the figures of the run are kept."""
+        chosen = self.config.getoption("--bezier-history")
+        if chosen:
+            return Path(self.config.invocation_params.dir, chosen)
+        name = self.config.getini("bezier_history")
+        return Path(self.root, name) if name else None
 
     @property
     def thresholds(self) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -13,8 +14,9 @@ from ..cli import _scene
 from ..errors import BezierError, FileFormatError, VariantError
 from ..rendering.picture import render_picture
 from ..rendering.plan import Plan, make_plan, sampled_pixels, usual_style
+from ..verification.calibration import ATTRIBUTE, own_shares
 from ..verification.fingerprint import scene_fingerprint
-from ..verification.images import Image, write_exr
+from ..verification.images import Image, encode_exr
 from ..verification.merge import Accumulator
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["FIRST_REFERENCE_SEED", "REFERENCE_PASSES", "Shot", "find_scene"]
 
 REFERENCE_PASSES = 32
+#: Bytes of passes that are kept to see how they differ among each other.
+_MEMORY = 1 << 29
 #: Seeds of the reference's passes begin here; tests take small numbers.
 FIRST_REFERENCE_SEED = 1_000_000
 
@@ -154,18 +158,26 @@ class Shot:
     ) -> tuple[Image, Image]:
         """Render `passes` times; return mean and variance as one image, and the first render."""
         total = Accumulator(variance=True)
-        first = None
+        first: Image | None = None
+        kept: list[Mapping[str, Any]] = []
+        room = _MEMORY
         for index in range(passes):
             seed = FIRST_REFERENCE_SEED + index
             image = self.render(seed)
             total.add(image.channels, image.attributes["spp"], [seed])
             first = first or image
+            room -= sum(pixels.nbytes for pixels in image.channels.values())
+            if room > 0 or len(kept) < 8:
+                kept.append(image.channels)
         attributes = self._attributes(total.spp, total.seeds) | {
             "passes": passes,
             "command": command,
             **extra,
         }
         assert first is not None
+        shares = own_shares(kept, first.attributes["spp"])
+        if shares:
+            attributes[ATTRIBUTE] = json.dumps(shares)
         return Image({**total.mean(), **total.variance()}, attributes), first
 
     def _attributes(self, spp: int, seeds: list[int]) -> dict[str, str | int]:
@@ -202,6 +214,16 @@ class Shot:
         return self._digest
 
 
-def write(path: Path, image: Image) -> None:
-    """Write an image of `Shot`; folders on the way are made."""
-    write_exr(path, image.channels, image.attributes)
+def encode(image: Image, compression: str = "zip") -> bytes:
+    """Return the file of an image of `Shot`; its header says if the values are not exact.
+
+    Raises
+    ------
+    BezierError
+        If the compression is neither ``"zip"`` nor ``"dwaa"``.
+    """
+    if compression not in ("zip", "dwaa"):
+        raise BezierError.expected("bezier_compression", "zip or dwaa", repr(compression))
+    lossy = compression == "dwaa"
+    note = {"lossy": compression} if lossy else {}
+    return encode_exr(image.channels, image.attributes | note, lossy=lossy)

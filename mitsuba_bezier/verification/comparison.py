@@ -13,11 +13,12 @@ import numpy as np
 
 from ..errors import BezierError, FileFormatError
 from . import flip
+from .calibration import passing_share
 from .images import SUFFIXES, Image, read_image, refuse_denoised
 from .metrics import Metrics, measure
 from .noise import blank, expected_values, shows_nothing
 from .thresholds import Limits, Thresholds
-from .ztest import ZTest, comparable_layers, noise_variance, z_test
+from .ztest import PASSING_SHARE, ZTest, comparable_layers, noise_variance, z_test
 
 __all__ = ["Check", "Comparison", "Layer", "compare_images", "compare_paths", "pair_files"]
 
@@ -257,6 +258,8 @@ def _compare_layer(
     spp: int | None,
     with_flip: bool,
 ) -> Layer:
+    if limits.z_share == PASSING_SHARE:
+        limits = replace(limits, z_share=passing_share(reference, name))
     a, b = reference.stack(channels), test.stack(channels)
     metrics = measure(a, b)
     flip_pixels = None
@@ -326,6 +329,9 @@ def compare_images(
     with_flip: bool = True,
 ) -> Comparison:
     """Compare two images, layer by layer.
+
+    The share of pixels that must pass the Z-test is that of the limits; if they leave it as it is,
+    that of the reference's header (`calibration`).
 
     Parameters
     ----------

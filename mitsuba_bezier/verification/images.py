@@ -245,8 +245,12 @@ def encode_exr(
     offset: tuple[int, int] = (0, 0),
     full_size: tuple[int, int] | None = None,
     compress: bool = True,
+    lossy: bool = False,
 ) -> bytes:
-    """Return the contents of the file that `write_exr` writes; `compress` by ZIP."""
+    """Return the contents of the file that `write_exr` writes; `compress` by ZIP.
+
+    `lossy`: by DWAA instead, whose errors the eye hardly sees.
+    """
     pixels: dict[str, np.ndarray] = {}
     for name, values in channels.items():
         values = np.asarray(values)
@@ -263,8 +267,12 @@ def encode_exr(
     def window(x: int, y: int, w: int, h: int) -> tuple[np.ndarray, np.ndarray]:
         return np.array([x, y], np.int32), np.array([x + w - 1, y + h - 1], np.int32)
 
+    # and lines of a chunk
+    kind, lines = (OpenEXR.ZIP_COMPRESSION, 16) if compress else (OpenEXR.NO_COMPRESSION, 1)
+    if lossy:
+        kind, lines = OpenEXR.DWAA_COMPRESSION, 32
     header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION if compress else OpenEXR.NO_COMPRESSION,
+        "compression": kind,
         "type": OpenEXR.scanlineimage,
         "dataWindow": window(*offset, width, height),
         "displayWindow": window(0, 0, *(full_size or (width, height))),
@@ -285,7 +293,7 @@ def encode_exr(
         data = encoded(OpenEXR.File(header, pixels).write)
     except RuntimeError as error:
         raise FileFormatError.expected("image", "one that OpenEXR can write", error) from None
-    _check_whole(data, -(-height // 16) if compress else height)
+    _check_whole(data, -(-height // lines))
     return data
 
 

@@ -194,6 +194,15 @@ def test_a_reference_that_lies_elsewhere_or_is_a_pointer(project):
     reference = project.path.parent / "refs" / "ball.exr"
     assert reference.is_file() and not project.reference.exists()
     project.run().assert_outcomes(passed=1)
+    exact = read_image(reference)
+    lines = "bezier_reference_dir = {rootdir}/../refs\nbezier_compression = dwaa"
+    project.makeini(f"[pytest]\n{lines}\n")
+    project.run("--bezier-generate-refs").assert_outcomes(skipped=1)
+    small = read_image(reference)
+    assert small.attributes["lossy"] == "dwaa" and "lossy" not in exact.attributes
+    error = np.abs(small.channels["G"] - exact.channels["G"]).max()
+    assert 0 < error < 0.02  # of values up to 1: below the noise of a test
+    project.run().assert_outcomes(passed=1)
     reference.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n")
     result = project.run()
     result.assert_outcomes(failed=1)
