@@ -78,29 +78,29 @@ MUTANTS = (
     Mutant(
         "no variation",
         "kernels/graph/march.py",
-        "wobble = 0.5 * variation * lateral2",
-        "wobble = 0.0 * variation * lateral2",
+        "self.wobble = 0.5 * net.variation * lateral2",
+        "self.wobble = 0.0 * net.variation * lateral2",
         ("kernels/test_march.py::test_rays_along_ruled_lines",),
     ),
     Mutant(
         "no tilt",
         "kernels/graph/march.py",
-        "tilt = 2.0 * bending * dr.sqrt(lateral2)",
-        "tilt = 0.0 * bending * dr.sqrt(lateral2)",
+        "self.tilt = 2.0 * self.bending * dr.sqrt(lateral2)",
+        "self.tilt = 0.0 * self.bending * dr.sqrt(lateral2)",
         ("kernels/test_march.py::test_no_root_is_passed_wherever_the_march_begins",),
     ),
     Mutant(
         "the side of the surface stays",
         "kernels/graph/march.py",
-        "return run, step, tau, u, v, -sign, hit, best",
-        "return run, step, tau, u, v, sign, hit, best",
+        "replace(place, tau=tau, u=u, v=v, sign=-place.sign)",
+        "replace(place, tau=tau, u=u, v=v, sign=place.sign)",
         ("kernels/test_march.py::test_rays_along_ruled_lines",),
     ),
     Mutant(
         "one root a leaf",
         "kernels/graph/march.py",
-        "run = run & root & (~accept | all_roots) & (back > 0.0)",
-        "run = run & root & (~accept | all_roots) & (back < 0.0)",
+        "run = run & root.found & (~accept | self.there.turns) & (back > 0.0)",
+        "run = run & root.found & (~accept | self.there.turns) & (back < 0.0)",
         ("plugins/test_trimmed_shapes.py::test_trimmed_hits_are_skipped",),
     ),
     Mutant(
@@ -127,8 +127,8 @@ MUTANTS = (
     Mutant(
         "sure near the surface",
         "kernels/graph/chart.py",
-        "sure = sure & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)",
-        "sure = sure & (dr.abs(first) > 0.0) & (dr.abs(last) > 0.0)",
+        "certain = certain & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)",
+        "certain = certain & (dr.abs(first) > 0.0) & (dr.abs(last) > 0.0)",
         ("kernels/test_decided.py",),
     ),
     Mutant(
@@ -155,7 +155,7 @@ MUTANTS = (
     Mutant(
         "copies are entered in the middle",
         "kernels/copies.py",
-        "start = dr.maximum(ahead - m[3] * inv_length, 0.0)",
+        "start = dr.maximum(ahead - m.radius * inv_length, 0.0)",
         "start = dr.maximum(ahead, 0.0)",
         ("plugins/test_copies.py::test_copies_are_what_as_many_shapes_are",),
     ),
@@ -190,8 +190,8 @@ MUTANTS = (
     Mutant(
         "culling has no rounding",
         "leaves/graph/subdivision.py",
-        "form[rows, 3] = bounds.remainder + bends * rounding",
-        "form[rows, 3] = bounds.remainder + 0 * bends * rounding",
+        '"remainder": bounds.remainder + bends * rounding',
+        '"remainder": bounds.remainder + 0 * bends * rounding',
         ("leaves/test_leaf_bounds.py::test_what_culling_in_float32_may_be_off",),
     ),
     Mutant(
@@ -204,8 +204,8 @@ MUTANTS = (
     Mutant(
         "copies forget their nearest hit",
         "kernels/copies.py",
-        "limit = t - start",
-        "limit = t",
+        "[dot3(row, d) for row in m.rows], nearest.t - start)",
+        "[dot3(row, d) for row in m.rows], nearest.t)",
         ("plugins/test_copies.py::test_copies_are_what_as_many_shapes_are",),
     ),
 )

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import BezierError
 from . import bernstein
 
-__all__ = ["finite_parts", "hull_boxes", "reaches_infinity", "surface_boxes"]
+__all__ = ["finite_parts", "hull_boxes", "instance_boxes", "reaches_infinity", "surface_boxes"]
 
 #: How far boxes of surfaces may be from tight, relative to their largest side.
 TIGHT = 1e-3
@@ -211,3 +212,29 @@ def _refine(nets: np.ndarray, owner: np.ndarray, known: np.ndarray) -> np.ndarra
     box[:, 0] = np.where(open_[:, 0], -np.inf, np.minimum(box[:, 0], known[:, 0]))
     box[:, 1] = np.where(open_[:, 1], np.inf, np.maximum(box[:, 1], known[:, 1]))
     return box
+
+
+def instance_boxes(nets: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """Return boxes ``(N, 2, 3)`` of images of nets ``(P, K, 4)`` under affine maps ``(N, 4, 4)``.
+
+    They are those of the control points of parts whose weights have one sign.
+
+    Raises
+    ------
+    BezierError
+        If the patches run to infinity.
+    """
+    if reaches_infinity(nets).any():
+        raise BezierError.expected("copies", "patches of finite size", "points at infinity")
+    net = finite_parts(nets)[0].reshape(-1, 4)
+    net = net[net[:, 3] != 0]  # zero vectors are no points
+    points = net[:, :3] / net[:, 3:]
+    # the extreme points in some directions, and the boxes of patches, would do; all are few
+    out = np.empty((len(matrices), 2, 3))
+    step = max(_CHUNK // len(points), 1)
+    for first in range(0, len(matrices), step):
+        m = matrices[first : first + step]
+        moved = np.einsum("nij,kj->nki", m[:, :3, :3], points) + m[:, None, :3, 3]
+        out[first : first + step, 0] = moved.min(axis=1)
+        out[first : first + step, 1] = moved.max(axis=1)
+    return out

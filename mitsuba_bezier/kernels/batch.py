@@ -18,9 +18,10 @@ import drjit as dr
 
 from ..leaves.bvh import NO_LEAF
 from .arrays import Types, dot3, inverse_root, types_of
+from .query import Found, Hit, Nearest, Query, Rays
 from .structure import Structure
-from .traverse import Hit, cull_leaf, finish, intersect, is_ray, meet, search, take_candidate
-from .walk import Slabs, Walk, begin, prepare, walk_to_leaves
+from .traverse import cull_leaf, finish, intersect, meet, search, take_candidate
+from .walk import BvhRays, Slabs, Walk, begin, prepare, walk_to_leaves
 
 __all__ = ["intersect_batch", "is_worthwhile", "query"]
 
@@ -46,7 +47,7 @@ _APART = 0.05
 _SAMPLES = 4096
 
 #: In place of a leaf's number: the ray certainly hits it, which is all that is asked.
-_SURE = NO_LEAF - 1
+_CERTAIN = NO_LEAF - 1
 
 #: Where arrays have no values yet, or must not be looked at.
 _RECORDING = (
@@ -100,52 +101,42 @@ def intersect_batch(
     """
     ty = types_of(o[0])
     count = max(dr.width(x) for x in (*o, *d, t_max, active))
+    query = Query(s, ty, any_hit)
     rays = _Rays(
         [_in_memory(ty.Float(o[i]), count) for i in range(3)],
         [_in_memory(ty.Float(d[i]), count) for i in range(3)],
+        ty.Float(t_max),
     )
     # what no hit is before: rays that are none, or not to be traced
-    t = dr.select(ty.Bool(active) & is_ray(rays.o, rays.d, t_max), ty.Float(t_max), 0.0)
+    t = dr.select(ty.Bool(active) & rays.are_valid(), rays.t_max, 0.0)
     leaf, u, v = dr.full(ty.UInt, NO_LEAF, count), *(dr.zeros(ty.Float, count) for _ in range(2))
     nearest = _Nearest(_in_memory(t, count), leaf, u, v)
-    dr.make_opaque(rays, nearest)
+    dr.make_opaque(rays.o, rays.d, nearest)
     for start in range(0, count, _AT_ONCE):
         queue = _Queue(min(_AT_ONCE, count - start))
         if queue.count < count:
             queue.ray = dr.arange(ty.UInt, queue.count) + dr.opaque(ty.UInt, start)
             dr.eval(queue.ray)
-        _trace(s, ty, rays, nearest, queue, any_hit)
-    return finish(
-        s, ty, nearest.t, nearest.leaf, nearest.u, nearest.v, dr.full(ty.Bool, True, count), any_hit
-    )
+        _trace(query, rays, nearest, queue)
+    return finish(query, nearest, dr.full(ty.Bool, True, count))
 
 
-@dataclass
-class _Rays:
+class _Rays(Rays):
     """Rays in memory."""
 
-    o: list[Any]
-    d: list[Any]
-
-    def at(self, ray: Any, t: Any, active: Any = True) -> tuple[list[Any], list[Any], Any]:
-        """Return origins, directions and ends of rays by their numbers."""
+    def at(self, ray: Any, t: Any, active: Any = True) -> Rays:
+        """Return rays by their numbers, with the ends `t` of all."""
         o, d = ([dr.gather(type(x), x, ray, active) for x in xs] for xs in (self.o, self.d))
-        return o, d, dr.gather(type(t), t, ray, active)
+        return Rays(o, d, dr.gather(type(t), t, ray, active))
 
 
-@dataclass
-class _Nearest:
-    """The nearest hits so far, of all rays."""
+class _Nearest(Nearest):
+    """The nearest hits so far, of all rays, in memory."""
 
-    t: Any
-    leaf: Any  #: UInt, `NO_LEAF` at none
-    u: Any  #: of the leaf
-    v: Any
-
-    def update(self, ray: Any, hit: Any, t: Any, u: Any, v: Any, leaf: Any) -> None:
+    def update(self, ray: Any, found: Found | Nearest, hit: Any) -> None:
         """Write down hits of rays, by their numbers."""
-        for array, value in ((self.t, t), (self.leaf, leaf), (self.u, u), (self.v, v)):
-            dr.scatter(array, value, ray, hit)
+        for name, array in vars(self).items():
+            dr.scatter(array, getattr(found, name), ray, hit)
 
 
 @dataclass
@@ -163,34 +154,31 @@ class _Lane:
 
     next: Any  #: UInt: the place in the queue of the ray that comes after
     place: Any  #: that of this one, `NO_LEAF` if there is none
-    o: list[Any]
-    d: list[Any]
-    t: Any
+    rays: Rays
     slabs: Slabs
     walk: Walk
     leaf: Any  #: the one that may be hit, or `NO_LEAF`
 
 
-def _trace(
-    s: Structure, ty: Types, rays: _Rays, nearest: _Nearest, queue: _Queue, any_hit: bool
-) -> None:
+def _trace(query: Query, rays: _Rays, nearest: _Nearest, queue: _Queue) -> None:
     """Trace the rays of a queue."""
+    s, ty = query.s, query.ty
     for _round in range(_ROUNDS):
-        found, walk = _walk_to_candidates(s, ty, rays, nearest.t, queue, any_hit)
-        if any_hit and s.has_certain_hits:
+        found, walk = _walk_to_candidates(query, rays, nearest.t, queue)
+        if query.ends_where_certain:
             ray = dr.arange(ty.UInt, queue.count) if queue.ray is None else queue.ray
-            dr.scatter(nearest.leaf, found, ray, found == _SURE)
-        place = dr.compress(found < _SURE)
+            dr.scatter(nearest.leaf, found, ray, found == _CERTAIN)
+        place = dr.compress(found < _CERTAIN)
         if not dr.width(place):
             return
         ray = place if queue.ray is None else dr.gather(ty.UInt, queue.ray, place)
-        o, d, t_max = rays.at(ray, nearest.t)
+        those = rays.at(ray, nearest.t)
         index = dr.gather(ty.UInt, found, place)
-        candidate, line = cull_leaf(s, ty, index, o, d, t_max, ty.Bool(True), any_hit)
-        hit, t, u, v, leaf = meet(s, ty, index, line, o, d, t_max, candidate, any_hit)
-        nearest.update(ray, hit, t, u, v, leaf)
+        candidate, line = cull_leaf(query, index, those, ty.Bool(True))
+        met = meet(query, index, line, those, candidate)
+        nearest.update(ray, met, met.hit)
         node, leaves = (dr.gather(ty.UInt, x, place) for x in (walk.node, walk.leaves))
-        on = ((node | leaves) != 0) & ~(hit & any_hit)
+        on = ((node | leaves) != 0) & ~(met.hit & query.any_hit)
         dr.eval(nearest, on, ray)
         rest = dr.compress(on)
         if not dr.width(rest):
@@ -201,27 +189,24 @@ def _trace(
         queue = _Queue(dr.width(rest), ray, walk)
         if queue.count < _FEW:
             break
-    o, d, t_max = rays.at(queue.ray, nearest.t)
-    slabs = prepare(ty, o, d)
-    t, leaf, u, v = search(
-        s, ty, o, d, slabs, t_max, ty.UInt(0), queue.walk, ty.Bool(True), any_hit
-    )
-    nearest.update(queue.ray, leaf != NO_LEAF, t, u, v, leaf)
+    those = rays.at(queue.ray, nearest.t)
+    bvh = BvhRays(s.nodes, ty, ty.UInt(0), prepare(ty, those.o, those.d))
+    there = search(query, bvh, those, queue.walk, ty.Bool(True))
+    nearest.update(queue.ray, there, there.leaf != NO_LEAF)
     dr.eval(nearest)
 
 
-def _walk_to_candidates(
-    s: Structure, ty: Types, rays: _Rays, t: Any, queue: _Queue, any_hit: bool
-) -> tuple[Any, Walk]:
+def _walk_to_candidates(query: Query, rays: _Rays, t: Any, queue: _Queue) -> tuple[Any, Walk]:
     """Take each ray of a queue to its next leaf that it may hit.
 
     Returns
     -------
     leaf : UInt
-        By place in the queue, `NO_LEAF` where there is none; or `_SURE`.
+        By place in the queue, `NO_LEAF` where there is none; or `_CERTAIN`.
     walk : Walk
         Where the others may go on; arbitrary in the first and the last.
     """
+    s, ty = query.s, query.ty
     count = queue.count
     # at least a hundred packets for each thread, so that none waits for long
     share = max(1, min(_SHARE, count // (100 * _PACKET * dr.thread_count())))
@@ -247,16 +232,16 @@ def _walk_to_candidates(
         place = dr.select(lane.next < end, lane.next, NO_LEAF)
         known = place != NO_LEAF
         ray = place if queue.ray is None else dr.gather(ty.UInt, queue.ray, place, known)
-        o, d, t_max = rays.at(ray, t, known)
-        slabs = prepare(ty, o, d)
+        those = rays.at(ray, t, known)
+        slabs = prepare(ty, those.o, those.d)
         if queue.walk is None:
-            walk = begin(ty, s.nodes, slabs, t_max)
-            known = known & (t_max > 0.0)
+            walk = begin(ty, s.nodes, slabs, those.t_max)
+            known = known & (those.t_max > 0.0)
             walk.node = dr.select(known, walk.node, 0)
             walk.leaves = dr.select(known, walk.leaves, 0)
         else:
             walk = Walk(*(dr.gather(type(x), x, place, known) for _k, x in _fields(queue.walk)))
-        return _Lane(lane.next + _PACKET, place, o, d, t_max, slabs, walk, ty.UInt(NO_LEAF))
+        return _Lane(lane.next + _PACKET, place, those, slabs, walk, ty.UInt(NO_LEAF))
 
     def body(run: Any, lane: Any) -> Any:
         needs = run & (~lane.walk.goes_on() | (lane.leaf != NO_LEAF))
@@ -268,19 +253,20 @@ def _walk_to_candidates(
             label="bezier next ray",
         )
         run = run & (lane.place != NO_LEAF)
-        walk = walk_to_leaves(s.nodes, ty, first, lane.walk, lane.slabs, lane.t, run, _NODES)
+        bvh = BvhRays(s.nodes, ty, first, lane.slabs)
+        walk = walk_to_leaves(bvh, lane.walk, lane.rays.t_max, run, _NODES)
 
-        def look(walk: Any, o: Any, d: Any, t: Any) -> Any:
-            leaves, leaf, line = take_candidate(s, ty, first, walk.leaves, o, d, t, run, any_hit)
-            if any_hit and s.has_certain_hits:
-                leaf = dr.select((leaf != NO_LEAF) & line.sure, _SURE, leaf)
+        def look(walk: Any, those: Any) -> Any:
+            leaves, leaf, line = take_candidate(query, bvh, those, walk.leaves, run)
+            if query.ends_where_certain:
+                leaf = dr.select((leaf != NO_LEAF) & line.certain_hit, _CERTAIN, leaf)
             return replace(walk, leaves=leaves), leaf
 
         walk, leaf = dr.if_stmt(
-            args=(walk, lane.o, lane.d, lane.t),
+            args=(walk, lane.rays),
             cond=run & (walk.leaves != 0),
             true_fn=look,
-            false_fn=lambda walk, _o, _d, _t: (walk, ty.UInt(NO_LEAF)),
+            false_fn=lambda walk, _rays: (walk, ty.UInt(NO_LEAF)),
             label="bezier leaves",
         )
         return run, replace(lane, walk=walk, leaf=leaf)
@@ -289,7 +275,7 @@ def _walk_to_candidates(
     zeros = [dr.zeros(ty.Float, lanes)] * 3
     nowhere = Walk(*(dr.zeros(type(x), lanes) for _k, x in _fields(walk_out)))
     slabs = prepare(ty, zeros, zeros)
-    begins = _Lane(start, none, zeros, zeros, zeros[0], slabs, nowhere, none)
+    begins = _Lane(start, none, Rays(zeros, zeros, zeros[0]), slabs, nowhere, none)
     dr.while_loop(
         (start < end, begins),
         cond=lambda run, _lane: run,

@@ -9,17 +9,21 @@ import drjit as dr
 import numpy as np
 
 from ..leaves.bvh import NO_LEAF
-from .arrays import dot3, gather_packets, reciprocal, types_of, upload
+from .arrays import dot3, reciprocal, types_of, upload
 from .nodes import Nodes, build_nodes
+from .query import Found, Hit, Nearest, Query, Rays
+from .records import Record, bits
 from .structure import Structure
-from .traverse import Hit, finish, is_ray, search
-from .walk import begin, begin_at_root, next_leaf, prepare
+from .traverse import finish, search
+from .walk import BvhRays, begin, begin_at_root, next_leaf, prepare
 
 __all__ = ["Copies", "build_copies", "intersect_copies"]
 
-#: Floats in the record of a copy: centre 3 and radius in space, rows of the inverse map 9, centre
-#: in the object 3; as bits the first node of the object's tree, and 1 if its root is a leaf.
-COPY = 24
+#: A copy: a ball around it in space, the inverse map about its centre, the first node of the BVH of
+#: its object, and 1 if the root of that is a leaf.
+COPY = Record(
+    np.float32, centre=(3,), radius=(), rows=(3, 3), middle=(3,), first=bits(), single=bits()
+)
 
 
 @dataclass
@@ -54,14 +58,16 @@ def build_copies(
     nodes = build_nodes(boxes, ty)
     centre = boxes.mean(axis=1).astype(np.float32).astype(np.float64)
     inverse = np.linalg.inv(matrices)
-    out = np.zeros((len(boxes), COPY), dtype=np.float32)
-    out[:, 0:3] = centre
-    # rounded up: rays are traced from in front of the ball
-    out[:, 3] = np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2 * 1.001 + 1e-30
-    out[:, 4:13] = inverse[:, :3, :3].reshape(-1, 9)
-    out[:, 13:16] = np.einsum("nij,nj->ni", inverse[:, :3, :3], centre) + inverse[:, :3, 3]
-    out[:, 16] = structure.nodes.first[objects].view(np.float32)
-    out[:, 17] = structure.nodes.single[objects].astype(np.uint32).view(np.float32)
+    out = COPY.pack(
+        len(boxes),
+        centre=centre,
+        # rounded up: rays are traced from in front of the ball
+        radius=np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) / 2 * 1.001 + 1e-30,
+        rows=inverse[:, :3, :3],
+        middle=np.einsum("nij,nj->ni", inverse[:, :3, :3], centre) + inverse[:, :3, 3],
+        first=structure.nodes.first[objects],
+        single=structure.nodes.single[objects],
+    )
     return Copies(
         structure=structure,
         nodes=nodes,
@@ -87,50 +93,43 @@ def intersect_copies(
     s = c.structure
     ty = types_of(o[0])
     f64 = ty.Float64
-    o, d = [ty.Float(o[i]) for i in range(3)], [ty.Float(d[i]) for i in range(3)]
-    t_max = ty.Float(t_max)
-    active = ty.Bool(active) & is_ray(o, d, t_max)
-    slabs = prepare(ty, o, d)
-    start_of_walk = begin(ty, c.nodes, slabs, t_max)
+    query, rays = Query(s, ty, any_hit), Rays.of(ty, o, d, t_max)
+    o, d = rays.o, rays.d
+    active = ty.Bool(active) & rays.are_valid()
+    bvh = BvhRays(c.nodes, ty, ty.UInt(0), prepare(ty, o, d))
+    start_of_walk = begin(ty, c.nodes, bvh.slabs, rays.t_max)
     inv_length2 = reciprocal(dot3(d, d))
     inv_length = dr.sqrt(inv_length2)
 
-    def body(run: Any, walk: Any, t: Any, leaf: Any, u: Any, v: Any, copy: Any) -> Any:
-        walk, index = next_leaf(c.nodes, ty, ty.UInt(0), walk, slabs, t, run)
+    def body(run: Any, walk: Any, nearest: Any, copy: Any) -> Any:
+        walk, index = next_leaf(bvh, walk, nearest.t, run)
         found = run & (index != NO_LEAF)
-        m = gather_packets(c.records, index, COPY, found)
-        away = [f64(m[i]) - f64(o[i]) for i in range(3)]
+        m = COPY.gather(c.records, index, found)
+        away = [f64(m.centre[i]) - f64(o[i]) for i in range(3)]
         ahead = ty.Float(dot3(away, [f64(x) for x in d])) * inv_length2
-        start = dr.maximum(ahead - m[3] * inv_length, 0.0)
+        start = dr.maximum(ahead - m.radius * inv_length, 0.0)
         p = [ty.Float(dr.fma(f64(start), f64(d[i]), -away[i])) for i in range(3)]
-        rows = [m[4 + 3 * r : 7 + 3 * r] for r in range(3)]
-        local_o = [dot3(rows[r], p) + m[13 + r] for r in range(3)]
-        local_d = [dot3(rows[r], d) for r in range(3)]
-        local_slabs = prepare(ty, local_o, local_d)
-        first, single = (dr.reinterpret_array(ty.UInt, m[k]) for k in (16, 17))
-        limit = t - start
-        found = found & (limit > 0.0)
-        root = begin_at_root(ty, s.nodes, single != 0, found)
-        t_new, leaf_new, u_new, v_new = search(
-            s, ty, local_o, local_d, local_slabs, limit, first, root, found, any_hit
-        )
-        accept = found & (leaf_new != NO_LEAF)
-        t = dr.select(accept, ty.Float(f64(start) + f64(t_new)), t)
-        leaf, copy = dr.select(accept, leaf_new, leaf), dr.select(accept, index, copy)
-        u, v = dr.select(accept, u_new, u), dr.select(accept, v_new, v)
+        local_o = [dot3(row, p) + middle for row, middle in zip(m.rows, m.middle)]
+        local = Rays(local_o, [dot3(row, d) for row in m.rows], nearest.t - start)
+        inside = BvhRays(s.nodes, ty, m.first, prepare(ty, local.o, local.d))
+        found = found & (local.t_max > 0.0)
+        root = begin_at_root(ty, s.nodes, m.single != 0, found)
+        there = search(query, inside, local, root, found)
+        accept = found & (there.leaf != NO_LEAF)
+        t = ty.Float(f64(start) + f64(there.t))
+        nearest = nearest.updated(Found(accept, t, there.u, there.v, there.leaf))
+        copy = dr.select(accept, index, copy)
         run = run & walk.goes_on()
         if any_hit:
-            run = run & (leaf == NO_LEAF)
-        return run, walk, t, leaf, u, v, copy
+            run = run & (nearest.leaf == NO_LEAF)
+        return run, walk, nearest, copy
 
-    zero = dr.zeros(ty.Float)
-    none = ty.UInt(NO_LEAF)
     active = active & start_of_walk.goes_on()
-    _run, _walk, t, leaf, u, v, copy = dr.while_loop(
-        (active, start_of_walk, t_max, none, zero, zero, dr.zeros(ty.UInt)),
+    _run, _walk, nearest, copy = dr.while_loop(
+        (active, start_of_walk, Nearest.none(ty, rays.t_max), dr.zeros(ty.UInt)),
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "walk", "t", "leaf", "u", "v", "copy"),
+        labels=("run", "walk", "nearest", "copy"),
         label="bezier copies",
     )
-    return finish(s, ty, t, leaf, u, v, active, any_hit), copy
+    return finish(query, nearest, active), copy

@@ -1,4 +1,8 @@
-"""The records of a tree's inner nodes: four children in 32 bytes."""
+"""Pack a BVH4 for the device: inner nodes of four children in 32 bytes, with quantised boxes.
+
+As compressed wide BVHs have them (Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on
+GPUs Through Compressed Wide BVHs", 2017), with children in a heap's order in place of pointers.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ import numpy as np
 from ..errors import BezierError
 from ..leaves.bvh import NO_LEAF, Tree, build_tree
 from .arrays import Types, upload
+from .records import Record, bits
 
 __all__ = [
     "AXIS",
@@ -25,13 +30,13 @@ __all__ = [
     "build_nodes",
 ]
 
-#: Floats in the record of a node: origin of its box 3; a word for each of its four children; a word
-#: with the units of the three axes (`_units`) and which children are nodes (`INNER`) and leaves
-#: (`LEAF`), four bits each. A child's word has the faces of its box in units from the origin, five
-#: bits each: the low ones from the bits `FACE` on, the high ones as well once the word is turned
-#: to the left by `TURN`. That of child `k` < 3 has, from the bit `AXIS` on, the axis along which
-#: two parts of the node are in order: its two pairs of children, the first pair, the second pair.
-NODE = 8
+#: A node: the origin of its box; a word for each of its four children; a word with the units of the
+#: three axes (`_units`) and which children are nodes (`INNER`) and leaves (`LEAF`), four bits each.
+#: A child's word has the faces of its box in units from the origin, five bits each: the low ones
+#: from the bits `FACE` on, the high ones as well once the word is turned to the left by `TURN`.
+#: That of child `k` < 3 has, from the bit `AXIS` on, the axis along which two parts of the node are
+#: in order: its two pairs of children, the first pair, the second pair.
+NODE = Record(np.float32, origin=(3,), children=bits((4,)), units=bits())
 FACE, TURN, AXIS = (18, 13, 8), 15, 23
 #: The bits of a face are left where they are, as those of the mantissa of a float, 1 + k / SCALE
 #: for the face k. The origin is stored less so many units.
@@ -105,7 +110,7 @@ def build_nodes(
     high = np.clip(padded[owner == 0, 1].max(axis=0, initial=-_FAR), -_FAR, _FAR)
     levels = 1 + int(_level(max(map(len, records)) - 1)) // 2
     return Nodes(
-        records=upload(like.Float32, all_records.view(np.float32)),
+        records=upload(like.Float32, all_records),
         slots=upload(like.UInt, all_slots),
         unbounded=unbounded,
         deep=levels > _SHALLOW,
@@ -123,11 +128,10 @@ def _level(number: Any) -> Any:
 
 
 def _records(tree: Tree, unbounded: bool) -> np.ndarray:
-    """Return the records ``(K, NODE)`` of the nodes up to the last one, as uint32."""
+    """Return the records of the nodes up to the last one."""
     inner = tree.inner[_level(tree.inner) % 2 == 0]
     # without an inner node there is one leaf, which needs none, or a root without children
     last = int(inner[-1]) if len(inner) else int((tree.leaf == NO_LEAF).all())
-    out = np.zeros((last + 1, NODE), dtype=np.uint32)
     boxes, is_leaf, is_inner = _children(tree, inner)
     infinite = np.abs(boxes) > _FAR
     # the frame is that of the finite faces
@@ -147,15 +151,18 @@ def _records(tree: Tree, unbounded: bool) -> np.ndarray:
     low = np.floor(steps[:, :, 0] - _SLACK).astype(np.uint32)
     high = np.ceil(steps[:, :, 1] + _SLACK).astype(np.uint32)
     low[infinite[:, :, 0]], high[infinite[:, :, 1]] = 0, STEPS
-    out[inner, 0:3] = origin.view(np.uint32)
+    children = np.zeros((len(inner), 4), dtype=np.uint32)
+    units = np.zeros(len(inner), dtype=np.uint32)
     for c in range(4):
-        out[inner, 3 + c] = _faces(low[:, c]) | _turned(_faces(high[:, c]))
-        out[inner, 7] |= is_inner[:, c].astype(np.uint32) << np.uint32(INNER + c)
-        out[inner, 7] |= is_leaf[:, c].astype(np.uint32) << np.uint32(LEAF + c)
+        children[:, c] = _faces(low[:, c]) | _turned(_faces(high[:, c]))
+        units |= is_inner[:, c].astype(np.uint32) << np.uint32(INNER + c)
+        units |= is_leaf[:, c].astype(np.uint32) << np.uint32(LEAF + c)
     for k, axis in enumerate(_axes(boxes)):
-        out[inner, 3 + k] |= axis.astype(np.uint32) << np.uint32(AXIS)
+        children[:, k] |= axis.astype(np.uint32) << np.uint32(AXIS)
     for a in range(3):
-        out[inner, 7] |= code[:, a] << np.uint32(8 * a)
+        units |= code[:, a] << np.uint32(8 * a)
+    out = NODE.pack(last + 1)
+    out[inner] = NODE.pack(len(inner), origin=origin, children=children, units=units)
     return out
 
 

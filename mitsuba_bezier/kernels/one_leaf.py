@@ -15,8 +15,9 @@ import numpy as np
 
 from ..leaves.records import Leaves
 from .arrays import types_of, upload
+from .query import Hit, Nearest, Query, Rays
 from .structure import Structure, leaf_boxes
-from .traverse import Hit, cull_leaf, finish, is_ray, meet
+from .traverse import cull_leaf, finish, meet
 
 __all__ = ["leaf_bounds", "leaf_count", "meet_leaf", "upload_bounds"]
 
@@ -52,12 +53,13 @@ def meet_leaf(
         As `intersect` does, of this leaf alone: patch and parameters are those of the patch.
     """
     ty = types_of(o[0])
-    o, d = [ty.Float(o[i]) for i in range(3)], [ty.Float(d[i]) for i in range(3)]
-    t_max, leaf = ty.Float(t_max), ty.UInt(leaf)
-    active = ty.Bool(active) & is_ray(o, d, t_max) & (leaf < leaf_count(s))
-    met, line = cull_leaf(s, ty, leaf, o, d, t_max, active, any_hit)
-    hit, t, u, v, found = meet(s, ty, leaf, line, o, d, t_max, met, any_hit)
-    return finish(s, ty, t, found, u, v, active & met & hit, any_hit)
+    query, rays = Query(s, ty, any_hit), Rays.of(ty, o, d, t_max)
+    leaf = ty.UInt(leaf)
+    active = ty.Bool(active) & rays.are_valid() & (leaf < leaf_count(s))
+    met, line = cull_leaf(query, leaf, rays, active)
+    found = meet(query, leaf, line, rays, met)
+    nearest = Nearest(found.t, found.leaf, found.u, found.v)
+    return finish(query, nearest, active & met & found.hit)
 
 
 def upload_bounds(leaves: Leaves, like: Any) -> Any:

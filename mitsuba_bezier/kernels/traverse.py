@@ -3,41 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 
 from ..leaves.bvh import NO_LEAF
-from ..leaves.records import INVERTED_KINDS, LeafKind
-from .arrays import Types, dot3, reciprocal, types_of
-from .closed_form.newton import section_parameters
+from ..leaves.records import CLOSED_FORMS, INVERTED_KINDS
+from .arrays import reciprocal, types_of
+from .closed_form.kinds import KINDS
 from .closed_form.quadric import group_hit
 from .graph.chart import ChartLine, cull
 from .graph.march import march
+from .query import Found, Hit, Nearest, Query, Rays
 from .records import is_kind
 from .structure import DOMAIN, Structure
-from .walk import Slabs, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
+from .walk import BvhRays, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
 
-__all__ = [
-    "Hit",
-    "cull_leaf",
-    "finish",
-    "intersect",
-    "is_ray",
-    "meet",
-    "search",
-    "take_candidate",
-]
-
-
-class Hit(NamedTuple):
-    """Result of `intersect`, all of the rays' width."""
-
-    valid: Any  #: Bool
-    t: Any  #: Float, infinite where not valid
-    patch: Any  #: UInt
-    u: Any  #: Float, patch barycentrics
-    v: Any
+__all__ = ["cull_leaf", "finish", "intersect", "meet", "search", "take_candidate"]
 
 
 def intersect(
@@ -59,174 +41,126 @@ def intersect(
         Stop at the first hit found; then only `valid` means something.
     """
     ty = types_of(o[0])
-    o, d = [ty.Float(o[i]) for i in range(3)], [ty.Float(d[i]) for i in range(3)]
-    t_max = ty.Float(t_max)
-    active = ty.Bool(active) & is_ray(o, d, t_max)
-    slabs = prepare(ty, o, d)
-    walk = begin(ty, s.nodes, slabs, t_max)
+    query, rays = Query(s, ty, any_hit), Rays.of(ty, o, d, t_max)
+    active = ty.Bool(active) & rays.are_valid()
+    bvh = BvhRays(s.nodes, ty, ty.UInt(0), prepare(ty, rays.o, rays.d))
+    walk = begin(ty, s.nodes, bvh.slabs, rays.t_max)
     if s.only_group is not None and not s.has_graphs:
-        t, leaf, u, v = _meet_group(s, ty, o, d, t_max, active & (walk.leaves != 0))
+        nearest = _meet_group(query, rays, active & (walk.leaves != 0))
     else:
-        t, leaf, u, v = search(s, ty, o, d, slabs, t_max, ty.UInt(0), walk, active, any_hit)
-    return finish(s, ty, t, leaf, u, v, active, any_hit)
+        nearest = search(query, bvh, rays, walk, active)
+    return finish(query, nearest, active)
 
 
-def _meet_group(
-    s: Structure, ty: Types, o: list[Any], d: list[Any], t_max: Any, active: Any
-) -> tuple[Any, Any, Any, Any]:
-    """Do what `search` does where all there is are the patches of one quadric: no tree to walk."""
+def _meet_group(query: Query, rays: Rays, active: Any) -> Nearest:
+    """Do what `search` does where all there is are the patches of one quadric: no BVH to walk."""
+    ty = query.ty
 
     def meet_it(active: Any) -> Any:
-        hit, t, u, v, leaf = group_hit(s, ty, ty.UInt(0), o, d, t_max, active)
-        return t, dr.select(hit, leaf, NO_LEAF), u, v
+        found = group_hit(query, ty.UInt(0), rays, active)
+        return Nearest(found.t, dr.select(found.hit, found.leaf, NO_LEAF), found.u, found.v)
 
-    zero = dr.zeros(ty.Float)
     return dr.if_stmt(
         args=(active,),
         cond=active,
         true_fn=meet_it,
-        false_fn=lambda _active: (t_max, ty.UInt(NO_LEAF), zero, zero),
+        false_fn=lambda _active: Nearest.none(ty, rays.t_max),
         label="bezier one group",
     )
 
 
-def is_ray(o: list[Any], d: list[Any], t_max: Any) -> Any:
-    """Return a mask of rays that are rays; others, with NaN or no direction, are misses."""
-    length2 = dot3(d, d)
-    # NaN fails all comparisons
-    return (dot3(o, o) < dr.inf) & (length2 > 0.0) & (length2 < dr.inf) & (t_max > 0.0)
-
-
-def search(
-    s: Structure,
-    ty: Types,
-    o: list[Any],
-    d: list[Any],
-    slabs: Slabs,
-    t_max: Any,
-    first: Any,
-    walk: Walk,
-    active: Any,
-    any_hit: bool,
-) -> tuple[Any, Any, Any, Any]:
-    """Search the tree that begins at `first`; return t, leaf (or `NO_LEAF`), u, v of the leaf."""
+def search(query: Query, bvh: BvhRays, rays: Rays, walk: Walk, active: Any) -> Nearest:
+    """Search a BVH from where `walk` is."""
+    s, ty = query.s, query.ty
     if not (s.has_graphs or s.has_groups):
-        none = dr.full(ty.UInt, NO_LEAF, dr.width(active))
-        return t_max, none, dr.zeros(ty.Float), dr.zeros(ty.Float)
+        none = Nearest.none(ty, rays.t_max)
+        return replace(none, leaf=dr.full(ty.UInt, NO_LEAF, dr.width(active)))
 
-    def body(run: Any, walk: Any, t: Any, leaf: Any, u: Any, v: Any) -> Any:
+    def body(run: Any, walk: Any, nearest: Any) -> Any:
+        nearer = rays.until(nearest.t)
+
         def candidate(walk: Any, run: Any) -> Any:
-            return _candidate(s, ty, first, walk, o, d, slabs, t, run, any_hit)
+            return _candidate(query, bvh, nearer, walk, run)
 
-        if any_hit:
-            walk, index, line = _until_found(ty, candidate, walk, run)
+        if query.any_hit:
+            walk, leaf, line = _until_found(query, candidate, walk, run)
         else:
-            walk, index, line = candidate(walk, run)
-        found = run & (index != NO_LEAF)
-        accept, t_new, u_new, v_new, leaf_new = meet(s, ty, index, line, o, d, t, found, any_hit)
-        t = dr.select(accept, t_new, t)
-        leaf = dr.select(accept, leaf_new, leaf)
-        u, v = dr.select(accept, u_new, u), dr.select(accept, v_new, v)
+            walk, leaf, line = candidate(walk, run)
+        found = meet(query, leaf, line, nearer, run & (leaf != NO_LEAF))
+        nearest = nearest.updated(found)
         run = run & walk.goes_on()
-        if any_hit:
-            run = run & (leaf == NO_LEAF)
-        return run, walk, t, leaf, u, v
+        if query.any_hit:
+            run = run & (nearest.leaf == NO_LEAF)
+        return run, walk, nearest
 
-    zero = dr.zeros(ty.Float)
-    _run, _walk, t, leaf, u, v = dr.while_loop(
-        (active & walk.goes_on(), walk, t_max, ty.UInt(NO_LEAF), zero, zero),
+    return dr.while_loop(
+        (active & walk.goes_on(), walk, Nearest.none(ty, rays.t_max)),
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "walk", "t", "leaf", "u", "v"),
+        labels=("run", "walk", "nearest"),
         label="bezier traversal",
-    )
-    return t, leaf, u, v
+    )[2]
 
 
-def meet(
-    s: Structure,
-    ty: Types,
-    index: Any,
-    line: ChartLine,
-    o: Any,
-    d: Any,
-    t_max: Any,
-    active: Any,
-    any_hit: bool,
-) -> tuple[Any, Any, Any, Any, Any]:
-    """Find the first hit in a leaf, or in a group of exact ones; or only whether there is one.
+def meet(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
+    """Find the first hit in a leaf, or in a group; or only whether there is one.
 
     Then nothing is to be found where culling knew.
-
-    Returns
-    -------
-    hit : Bool
-    t : Float
-    u, v : Float
-        Of the leaf.
-    leaf : UInt
-        For a group, the member.
     """
-    if any_hit and s.has_certain_hits:
-        hit, *found = dr.if_stmt(
-            args=(index, line, t_max),
-            cond=active & ~line.sure,
-            true_fn=lambda i, line, t: _meet(s, ty, i, line, o, d, t, active & ~line.sure, any_hit),
-            false_fn=lambda i, line, t: (line.sure, t, dr.zeros(ty.Float), dr.zeros(ty.Float), i),
-            label="bezier undecided",
-        )
-        return active & hit, *found
-    return _meet(s, ty, index, line, o, d, t_max, active, any_hit)
+    if not query.ends_where_certain:
+        return _meet(query, leaf, line, rays, active)
+    found = dr.if_stmt(
+        args=(leaf, line, rays.t_max),
+        cond=active & ~line.certain_hit,
+        true_fn=lambda leaf, line, t: _meet(
+            query, leaf, line, rays.until(t), active & ~line.certain_hit
+        ),
+        false_fn=lambda leaf, line, t: _no_more(query, leaf, line.certain_hit, t),
+        label="bezier uncertain",
+    )
+    return replace(found, hit=active & found.hit)
 
 
-def _meet(
-    s: Structure,
-    ty: Types,
-    index: Any,
-    line: ChartLine,
-    o: Any,
-    d: Any,
-    t_max: Any,
-    active: Any,
-    any_hit: bool,
-) -> tuple[Any, Any, Any, Any, Any]:
-    if s.has_groups and s.has_graphs:
-        return dr.if_stmt(
-            args=(active, index, line, t_max),
-            cond=active & (index >= s.first_group),
-            true_fn=lambda m, i, _l, t: group_hit(s, ty, i - s.first_group, o, d, t, m),
-            false_fn=lambda m, i, line, t: (*march(s, ty, i, line, o, d, t, m, any_hit), i),
-            label="bezier leaf kind",
-        )
-    if s.has_groups:
-        return group_hit(s, ty, index, o, d, t_max, active)
-    return (*march(s, ty, index, line, o, d, t_max, active, any_hit), index)
+def _no_more(query: Query, leaf: Any, hit: Any, t: Any) -> Found:
+    """Return a hit of which it is only known that it is one."""
+    return Found(hit, t, dr.zeros(query.ty.Float), dr.zeros(query.ty.Float), leaf)
 
 
-def finish(
-    s: Structure, ty: Types, t: Any, leaf: Any, u: Any, v: Any, active: Any, any_hit: bool
-) -> Hit:
+def _meet(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
+    """Choose by kind what finds the first hit."""
+    s = query.s
+    if not s.has_groups:
+        return march(query, leaf, line, rays, active)
+    if not s.has_graphs:
+        return group_hit(query, leaf, rays, active)
+    return dr.if_stmt(
+        args=(active, leaf, line, rays.t_max),
+        cond=active & (leaf >= s.first_group),
+        true_fn=lambda m, i, _line, t: group_hit(query, i - s.first_group, rays.until(t), m),
+        false_fn=lambda m, i, line, t: march(query, i, line, rays.until(t), m),
+        label="bezier leaf kind",
+    )
+
+
+def finish(query: Query, nearest: Nearest, active: Any) -> Hit:
     """Turn a leaf and its parameters into a patch and its."""
+    s, ty = query.s, query.ty
+    leaf, u, v = nearest.leaf, nearest.u, nearest.v
     valid = active & (leaf != NO_LEAF)
-    t = dr.select(valid, t, dr.inf)
-    if any_hit:
+    t = dr.select(valid, nearest.t, dr.inf)
+    if query.any_hit:
         zero = dr.zeros(ty.Float)
         return Hit(valid, t, ty.UInt(0), zero, zero)
-    if s.domain is None:  # patches are leaves, and of one kind
-        if s.has(LeafKind.PLANE_SECTIONS):
-            u, v = section_parameters(s, ty, leaf, u, v, valid)
+    m = None
+    if s.domain is not None:
+        m = DOMAIN.gather(s.domain, dr.select(valid, leaf, 0), valid)
+    for kind in sorted(s.kinds & CLOSED_FORMS):
+        at_hit = KINDS[kind].at_hit
+        if at_hit is not None:
+            mine = valid if m is None else valid & is_kind(m.kind, kind)
+            u, v = at_hit(query, m, leaf, u, v, mine)
+    if m is None:  # patches are leaves, and of one kind
         return Hit(valid, t, dr.select(valid, leaf, 0), u, v)
-    m = DOMAIN.gather(s.domain, dr.select(valid, leaf, 0), valid)
-    if s.has(LeafKind.PLANE_SECTIONS):
-        is_section = is_kind(m.kind, LeafKind.PLANE_SECTIONS)
-        u, v = section_parameters(s, ty, leaf, u, v, valid & is_section)
-    if s.has(LeafKind.CONE):  # counted from their apex on
-        w = 1.0 - u - v
-        first, second = m.corner == 0, m.corner == 1
-        u, v = (
-            dr.select(first, w, dr.select(second, v, u)),
-            dr.select(first, u, dr.select(second, w, v)),
-        )
     if s.has_graphs or s.has(*INVERTED_KINDS):  # or leaves are patches
         w = 1.0 - u - v
         bary = [dr.fma(row[0], u, dr.fma(row[1], v, row[2] * w)) for row in m.map]
@@ -236,49 +170,33 @@ def finish(
 
 
 def take_candidate(
-    s: Structure,
-    ty: Types,
-    first: Any,
-    leaves: Any,
-    o: Any,
-    d: Any,
-    t_max: Any,
-    run: Any,
-    any_hit: bool,
+    query: Query, bvh: BvhRays, rays: Rays, leaves: Any, run: Any
 ) -> tuple[Any, Any, ChartLine]:
     """Take a leaf out of a walk's `leaves`, and turn it down if it is culled."""
-    leaves, leaf = take_leaf(s.nodes, ty, first, leaves, run)
-    known = run & (leaf != NO_LEAF)
-    candidate, line = cull_leaf(s, ty, leaf, o, d, t_max, known, any_hit)
+    leaves, leaf = take_leaf(bvh, leaves, run)
+    candidate, line = cull_leaf(query, leaf, rays, run & (leaf != NO_LEAF))
     return leaves, dr.select(candidate, leaf, NO_LEAF), line
 
 
-def cull_leaf(
-    s: Structure,
-    ty: Types,
-    leaf: Any,
-    o: Any,
-    d: Any,
-    t_max: Any,
-    active: Any,
-    any_hit: bool,
-) -> tuple[Any, ChartLine]:
+def cull_leaf(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
     """Cull a leaf as `chart.cull` does, or let a group pass."""
+    s = query.s
     if not s.has_graphs:
-        return active, ChartLine.zero(ty)
+        return active, ChartLine.zero(query.ty)
     graph = active & (leaf < s.first_group) if s.has_groups else active
-    candidate, line = cull(s, ty, leaf, o, d, t_max, graph, any_hit and s.has_certain_hits)
+    candidate, line = cull(query, leaf, rays, graph)
     if s.has_groups:
-        line = replace(line, sure=line.sure & graph)
+        line = replace(line, certain_hit=line.certain_hit & graph)
     return active & (candidate | ~graph), line
 
 
-def _until_found(ty: Types, candidate: Any, walk: Walk, run: Any) -> tuple[Walk, Any, ChartLine]:
-    """Repeat `candidate` until there is one, or the tree is at its end.
+def _until_found(query: Query, candidate: Any, walk: Walk, run: Any) -> tuple[Walk, Any, ChartLine]:
+    """Repeat `candidate` until there is one, or the BVH is at its end.
 
     The lanes of a packet that found one wait for the others, and all march together: the least
     marches. It pays where few go on after their first.
     """
+    ty = query.ty
 
     def body(go: Any, walk: Any, leaf: Any, line: Any) -> Any:
         walk, leaf, line = candidate(walk, go)
@@ -295,33 +213,22 @@ def _until_found(ty: Types, candidate: Any, walk: Walk, run: Any) -> tuple[Walk,
 
 
 def _candidate(
-    s: Structure,
-    ty: Types,
-    first: Any,
-    walk: Walk,
-    o: Any,
-    d: Any,
-    slabs: Slabs,
-    t_max: Any,
-    run: Any,
-    any_hit: bool,
+    query: Query, bvh: BvhRays, rays: Rays, walk: Walk, run: Any
 ) -> tuple[Walk, Any, ChartLine]:
     """Walk to the next node with leaves, and find the first that its quadratic does not exclude.
 
-    There may be none, and still more of the tree. For the closest hit leaves are culled in pairs:
+    There may be none, and still more of the BVH. For the closest hit leaves are culled in pairs:
     that takes less than twice the time of one, most of which is waiting for results.
     """
-    if not s.has_graphs:
-        walk, leaf = next_leaf(s.nodes, ty, first, walk, slabs, t_max, run)
+    ty = query.ty
+    if not query.s.has_graphs:
+        walk, leaf = next_leaf(bvh, walk, rays.t_max, run)
         return walk, leaf, ChartLine.zero(ty)
 
-    def take(leaves: Any, go: Any) -> Any:
-        return take_candidate(s, ty, first, leaves, o, d, t_max, go, any_hit)
-
     def body(go: Any, leaves: Any, leaf: Any, line: Any) -> Any:
-        leaves, leaf, line = take(leaves, go)
-        if not any_hit:
-            others, second, its_line = take(leaves, go)
+        leaves, leaf, line = take_candidate(query, bvh, rays, leaves, go)
+        if not query.any_hit:
+            others, second, its_line = take_candidate(query, bvh, rays, leaves, go)
             found = leaf != NO_LEAF
             # a second candidate stays, and will be culled again
             leaves = dr.select(found & (second != NO_LEAF), leaves, others)
@@ -329,7 +236,7 @@ def _candidate(
         go = go & (leaf == NO_LEAF) & (leaves != 0)
         return go, leaves, leaf, line
 
-    walk = walk_to_leaves(s.nodes, ty, first, walk, slabs, t_max, run)
+    walk = walk_to_leaves(bvh, walk, rays.t_max, run)
     _go, leaves, leaf, line = dr.while_loop(
         (run & (walk.leaves != 0), walk.leaves, ty.UInt(NO_LEAF), ChartLine.zero(ty)),
         cond=lambda *st: st[0],

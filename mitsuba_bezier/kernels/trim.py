@@ -25,7 +25,7 @@ STEPS = 12
 
 
 def keep(table: TrimTable, cell: Any, u: Any, v: Any, active: Any = True) -> Any:
-    """Tell which points are on the surface.
+    """Return a mask of points that are on the surface.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def keep(table: TrimTable, cell: Any, u: Any, v: Any, active: Any = True) -> Any
 
 
 def leaf_test(s: Structure, leaf: Any) -> Any:
-    """Return the function that tells which hits in leaves are on the surface, None without trims.
+    """Return what masks the hits in leaves that are on the surface, None without trims.
 
     It takes leaf barycentrics and which lanes to look at; the others are said to be kept.
     """

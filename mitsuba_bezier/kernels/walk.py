@@ -1,17 +1,19 @@
-"""The walk of a ray through a tree, without a stack."""
+"""Walk rays through a BVH, without a stack."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 
 from ..leaves.bvh import NO_LEAF
-from .arrays import Types, gather_packets, reciprocal
+from .arrays import Types, reciprocal
 from .nodes import AXIS, FACE, INNER, NODE, SCALE, STEPS, TURN, Nodes
 
 __all__ = [
+    "BvhRays",
     "Slabs",
     "Walk",
     "begin",
@@ -44,9 +46,19 @@ class Slabs:
     backward: Any  #: UInt: bit `a` tells that the direction's component `a` is negative
 
 
+@dataclass(frozen=True)
+class BvhRays:
+    """A BVH, and what rays need to walk it."""
+
+    nodes: Nodes
+    ty: Types
+    first: Any  #: UInt: where the BVH begins among the nodes
+    slabs: Slabs
+
+
 @dataclass
 class Walk:
-    """Where a ray is in a tree, and which branches are left.
+    """Where a ray is in a BVH, and which branches are left.
 
     Children have a place from 0 to 3 in the order in which the ray meets them, or should: the pairs
     of children are in order along an axis, and so are the two of each pair.
@@ -60,7 +72,7 @@ class Walk:
     leaves: Any  #: UInt: a node's number, its turns and four bits for places of leaves; or zero
 
     def goes_on(self) -> Any:
-        """Tell whether there may be more leaves."""
+        """Return a mask of walks on which there may be more leaves."""
         return (self.node != 0) | (self.leaves != 0)
 
 
@@ -106,27 +118,18 @@ def begin_at_root(ty: Types, nodes: Nodes, is_leaf: Any, active: Any) -> Walk:
     )
 
 
-def walk_to_leaves(
-    nodes: Nodes,
-    ty: Types,
-    first: Any,
-    walk: Walk,
-    slabs: Slabs,
-    t_max: Any,
-    run: Any,
-    most: int | None = None,
-) -> Walk:
-    """Walk a tree to the next node with leaves whose boxes are hit, for `most` nodes at most.
+def walk_to_leaves(bvh: BvhRays, walk: Walk, t_max: Any, run: Any, most: int | None = None) -> Walk:
+    """Walk to the next node with leaves whose boxes are hit, for `most` nodes at most.
 
-    Nothing is done where the walk has leaves already. The tree begins at `first`.
+    Nothing is done where the walk has leaves already.
     """
 
     def waits(walk: Any) -> Any:
         return (walk.leaves == 0) & (walk.node != 0)
 
     def step(walk: Any, go: Any) -> Any:
-        record = gather_packets(nodes.records, first + walk.node, NODE, go)
-        return _step(ty, record, nodes.unbounded, walk, slabs, t_max)
+        record = NODE.gather(bvh.nodes.records, bvh.first + walk.node, go)
+        return _step(bvh, record, walk, t_max)
 
     def body(go: Any, walk: Any) -> Any:
         walk = step(walk, go)
@@ -138,7 +141,7 @@ def walk_to_leaves(
 
     state = (run & waits(walk), walk)
     return dr.while_loop(
-        state if most is None else (*state, dr.zeros(ty.UInt)),
+        state if most is None else (*state, dr.zeros(bvh.ty.UInt)),
         cond=lambda *st: st[0],
         body=body if most is None else counted,
         labels=("go", "walk", "count")[: 2 if most is None else 3],
@@ -146,7 +149,7 @@ def walk_to_leaves(
     )[1]
 
 
-def take_leaf(nodes: Nodes, ty: Types, first: Any, leaves: Any, run: Any) -> tuple[Any, Any]:
+def take_leaf(bvh: BvhRays, leaves: Any, run: Any) -> tuple[Any, Any]:
     """Take the leaf that should be met first out of a walk's `leaves`.
 
     Returns
@@ -158,32 +161,29 @@ def take_leaf(nodes: Nodes, ty: Types, first: Any, leaves: Any, run: Any) -> tup
     """
     found = run & (leaves != 0)
     child = _child(dr.tzcnt(leaves), leaves >> 4)
-    leaf = dr.gather(ty.UInt, nodes.slots, 4 * first + (((leaves >> 7) << 2) | child), found)
+    slot = 4 * bvh.first + (((leaves >> 7) << 2) | child)
+    leaf = dr.gather(bvh.ty.UInt, bvh.nodes.slots, slot, found)
     others = leaves & (leaves - 1)
     others = dr.select((others & 15) != 0, others, 0)
     return dr.select(found, others, leaves), dr.select(found, leaf, NO_LEAF)
 
 
-def next_leaf(
-    nodes: Nodes, ty: Types, first: Any, walk: Walk, slabs: Slabs, t_max: Any, run: Any
-) -> tuple[Walk, Any]:
-    """Walk a tree to the next leaf whose box is hit, and past it; the leaf as from `take_leaf`."""
-    walk = walk_to_leaves(nodes, ty, first, walk, slabs, t_max, run)
-    leaves, leaf = take_leaf(nodes, ty, first, walk.leaves, run)
+def next_leaf(bvh: BvhRays, walk: Walk, t_max: Any, run: Any) -> tuple[Walk, Any]:
+    """Walk to the next leaf whose box is hit, and past it; the leaf as from `take_leaf`."""
+    walk = walk_to_leaves(bvh, walk, t_max, run)
+    leaves, leaf = take_leaf(bvh, walk.leaves, run)
     return replace(walk, leaves=leaves), leaf
 
 
-def _step(
-    ty: Types, record: list[Any], unbounded: bool, walk: Walk, slabs: Slabs, t_max: Any
-) -> Walk:
+def _step(bvh: BvhRays, record: SimpleNamespace, walk: Walk, t_max: Any) -> Walk:
     """Test the four children of a node, which has no leaves in `walk`; go down, or up.
 
     Each step has to wait for the step before. So all that does not depend on the slab tests comes
     first, to be done while these are.
     """
+    ty, slabs = bvh.ty, bvh.slabs
     none = dr.zeros(ty.UInt)
-    words = [dr.reinterpret_array(ty.UInt, word) for word in record[3:]]
-    units = words.pop()
+    words, units = record.children, record.units
     node, pending, turns_back = _up(ty, walk)
     later = [((slabs.backward >> ((word >> AXIS) & 3)) & 1) != 0 for word in words[:3]]
     turns, children, places, kinds = _order(ty, later, units >> INNER)
@@ -197,7 +197,7 @@ def _step(
         # eight bits from 22 on: half of the exponent, less 64, and the first of the mantissa
         bits = ((units << (22 - 8 * a)) & 0x3FC00000) + 0x20000000
         unit = ty.Float(dr.reinterpret_array(ty.Float32, bits))
-        origin, scale = ty.Float(record[a]), float(SCALE[a])
+        origin, scale = ty.Float(record.origin[a]), float(SCALE[a])
         in_unit, out_unit = unit * (slabs.rcp[a] * scale), unit * (slabs.rcp_far[a] * scale)
         near = dr.fma(origin, slabs.rcp[a], slabs.near[a])
         far = dr.fma(origin, slabs.rcp_far[a], slabs.far[a])
@@ -205,7 +205,7 @@ def _step(
             t_near = dr.fma(_face(ty, nears[c], a), in_unit, near)
             t_far = dr.fma(_face(ty, fars[c], a), out_unit, far)
             cuts_near, cuts_far = t_near > enter[c], t_far < leave[c]
-            if unbounded:
+            if bvh.nodes.unbounded:
                 cuts_near &= _is_finite(nears[c], a)
                 cuts_far &= _is_finite(fars[c], a)
             enter[c] = dr.select(cuts_near, t_near, enter[c])
@@ -294,6 +294,6 @@ def _face(ty: Types, faces: Any, axis: int) -> Any:
 
 
 def _is_finite(faces: Any, axis: int) -> Any:
-    """Tell whether the bits of a face are neither all zero nor all one."""
+    """Return a mask of faces whose bits are neither all zero nor all one."""
     lowest = 1 << FACE[axis]
     return ((faces + lowest) & (_bits(axis) - lowest)) != 0

@@ -9,18 +9,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError, FileFormatError
-from ..geometry.boxes import finite_parts, reaches_infinity
-from ..geometry.triangles import BezierTriangles
 from ..kernels.arrays import gather_packets, upload
 from ..kernels.copies import build_copies, intersect_copies
 from ..kernels.structure import build_structure
 from ..kernels.traverse import Hit
 from ..leaves.records import Leaves
 
-__all__ = ["CopyTables", "copy_boxes", "read_copies"]
-
-#: Control points transformed at a time.
-_CHUNK = 2**18
+__all__ = ["CopyTables", "read_copies"]
 
 
 def read_copies(props: mi.Properties) -> np.ndarray | None:
@@ -75,32 +70,6 @@ def _load(path: str) -> np.ndarray:
         ) from None
 
 
-def copy_boxes(patches: BezierTriangles, matrices: np.ndarray) -> np.ndarray:
-    """Return boxes ``(N, 2, 3)`` around copies of patches.
-
-    They are those of the control points of parts whose weights have one sign.
-
-    Raises
-    ------
-    BezierError
-        If the patches run to infinity.
-    """
-    if reaches_infinity(patches.control_points).any():
-        raise BezierError.expected("copies", "patches of finite size", "points at infinity")
-    net = finite_parts(patches.control_points)[0].reshape(-1, 4)
-    net = net[net[:, 3] != 0]  # zero vectors are no points
-    points = net[:, :3] / net[:, 3:]
-    # the extreme points in some directions, and the boxes of patches, would do; all are few
-    out = np.empty((len(matrices), 2, 3))
-    step = max(_CHUNK // len(points), 1)
-    for first in range(0, len(matrices), step):
-        m = matrices[first : first + step]
-        moved = np.einsum("nij,kj->nki", m[:, :3, :3], points) + m[:, None, :3, 3]
-        out[first : first + step, 0] = moved.min(axis=1)
-        out[first : first + step, 1] = moved.max(axis=1)
-    return out
-
-
 class CopyTables:
     """The copies of all shapes of a scene that have some.
 
@@ -119,7 +88,7 @@ class CopyTables:
     def __init__(self, leaves: Leaves, objects: np.ndarray, shapes: list[Any], trims: Any) -> None:
         matrices = np.concatenate([s.copies for s in shapes])
         which = np.repeat(np.arange(len(shapes)), [len(s.copies) for s in shapes])
-        boxes = np.concatenate([s.copy_boxes for s in shapes])
+        boxes = np.concatenate([s.state.instance_boxes for s in shapes])
         structure = build_structure(leaves, mi.Float, trims, objects, len(shapes))
         self.kernel = build_copies(structure, boxes, which, matrices, mi.Float)
         rows = np.zeros((len(matrices), 16), dtype=np.float32)

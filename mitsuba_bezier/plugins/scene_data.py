@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -72,6 +72,7 @@ class SceneData:
         self.handed_out = False
         self._sampling: dict[tuple[int, ...], SurfaceSampling] = {}
         self._open_edges: Any = None
+        self._made: dict[str, Any] = {}
         self._kept: dict[tuple[str, bytes], Any] = {}
         self.scene_has_others = scene is not None and len(scene.shapes()) > len(shapes)
         parts, patch_shape, patch_first = [], [], []
@@ -314,6 +315,13 @@ class SceneData:
             self._kept[key] = upload(array_type, values)
             self._show()
         return self._kept[key]
+
+    def made_once(self, name: str, make: Callable[[], Any], again: bool = False) -> Any:
+        """Return what was made of this structure under a name, made now if it is the first time."""
+        if again or name not in self._made:
+            self._made[name] = make()
+            self._show()
+        return self._made[name]
 
     def open_edges(self) -> Any:
         """Return for each patch which edges have no neighbour in their shape.

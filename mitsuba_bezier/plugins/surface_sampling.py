@@ -15,7 +15,7 @@ from ..geometry.trims import Trims
 from ..kernels.arrays import upload
 from ..kernels.trim import keep
 
-__all__ = ["SurfaceSampling", "direction_sample"]
+__all__ = ["SurfaceSampling", "direction_sample", "per_solid_angle"]
 
 #: Cells of one shape: enough for the density to be nearly uniform, few enough for the cache.
 _CELLS = 4096
@@ -118,6 +118,12 @@ def _size(patches: BezierTriangles) -> float:
     count = len(patches)
     points = patches.points(np.repeat(np.arange(count), 4), np.tile(uv, (count, 1)))
     return float(np.ptp(points, axis=0).max())
+
+
+def per_solid_angle(area: Any, ds: Any, n: Any) -> Any:
+    """Return a density by area as one by solid angle, along a direction sample to a normal `n`."""
+    cosine = dr.abs(dr.dot(ds.d, n))
+    return dr.select(cosine > 0, area * dr.square(ds.dist) / cosine, 0.0)
 
 
 def direction_sample(ps: Any, ref: Any) -> Any:

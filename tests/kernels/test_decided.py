@@ -14,6 +14,7 @@ from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.kernels import traverse
 from mitsuba_bezier.kernels.arrays import types_of
 from mitsuba_bezier.kernels.graph import chart
+from mitsuba_bezier.kernels.query import Query, Rays
 from mitsuba_bezier.kernels.structure import (
     AFFINE,
     LEAST_REMAINDER,
@@ -115,14 +116,13 @@ def test_what_is_certain_is_so(surface):
     end = far * np.random.default_rng(4).choice([0.9, 1.0, 1.1, np.inf], len(far))
     o[::7] += (1.02 * far[:, None] * d)[::7].astype(np.float32)
     structure = built(leaves)
-    candidate, line = chart.cull(
-        structure, TYPES, UInt(leaf), *columns(o, d), Float(end), TYPES.Bool(True), decide=True
-    )
-    sure = np.array(line.sure)
-    assert np.array(candidate)[sure].all()
-    assert 0.05 < sure.mean() < 0.8
+    query, rays = Query(structure, TYPES, True), Rays(*columns(o, d), Float(end))
+    candidate, line = chart.cull(query, UInt(leaf), rays, TYPES.Bool(True))
+    certain = np.array(line.certain_hit)
+    assert np.array(candidate)[certain].all()
+    assert 0.05 < certain.mean() < 0.8
     # there is a hit in front of the end, says float64; 2e-6 for what float32 made of its place
-    chosen = np.flatnonzero(sure)[:600]
+    chosen = np.flatnonzero(certain)[:600]
     hits = first_hit(surface, o[chosen], d[chosen])
     assert (hits.t > 0).all() and (hits.t <= end[chosen] + 2e-6).all()
 
@@ -131,11 +131,10 @@ def test_most_hits_are_certain():
     leaves = straight(mb.torus())
     leaf, o, d, _far = rays_at_leaves(leaves, 20_000, 5, 0.0, steep=1.0)
     structure = built(leaves)
-    _candidate, line = chart.cull(
-        structure, TYPES, UInt(leaf), *columns(o, d), Float(np.inf), TYPES.Bool(True), decide=True
-    )
+    query, rays = Query(structure, TYPES, True), Rays(*columns(o, d), Float(np.inf))
+    _candidate, line = chart.cull(query, UInt(leaf), rays, TYPES.Bool(True))
     # 0.84; without `inward` of each edge for itself 0.7
-    assert np.array(line.sure).mean() > 0.8
+    assert np.array(line.certain_hit).mean() > 0.8
 
 
 def test_rays_along_an_edge():
@@ -158,7 +157,7 @@ def test_most_hits_take_no_march(monkeypatch):
     dr.eval(marches)
 
     def count(*args):
-        dr.scatter_reduce(dr.ReduceOp.Add, marches, UInt(1), UInt(0), args[7])
+        dr.scatter_reduce(dr.ReduceOp.Add, marches, UInt(1), UInt(0), args[4])
         return march(*args)
 
     march = traverse._meet

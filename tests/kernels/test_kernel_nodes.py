@@ -10,7 +10,7 @@ from backend_cases import plain
 from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.arrays import types_of
 from mitsuba_bezier.kernels.nodes import build_nodes
-from mitsuba_bezier.kernels.walk import begin, begin_at_root, next_leaf, prepare
+from mitsuba_bezier.kernels.walk import BvhRays, begin, begin_at_root, next_leaf, prepare
 from mitsuba_bezier.leaves.bvh import NO_LEAF, build_tree
 
 
@@ -21,7 +21,7 @@ def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float
     o, d = ([ty.Float(a[:, i].astype(np.float32)) for i in range(3)] for a in (o, d))
     slabs = prepare(ty, o, d)
     t_max = dr.full(ty.Float, t_max, dr.width(o[0]))
-    first = ty.UInt(int(nodes.first[tree]))
+    bvh = BvhRays(nodes, ty, ty.UInt(int(nodes.first[tree])), slabs)
     every = dr.full(ty.Bool, True, dr.width(o[0]))
     walk = begin(ty, nodes, slabs, t_max)
     if tree:  # the kernel of copies begins like this
@@ -32,7 +32,7 @@ def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float
         dr.eval(walk, run)
         if not dr.any(run):
             return out
-        walk, leaf = next_leaf(nodes, ty, first, walk, slabs, t_max, run)
+        walk, leaf = next_leaf(bvh, walk, t_max, run)
         for ray, number in enumerate(np.array(leaf)):
             if number != NO_LEAF:
                 out[ray].append(int(number))
@@ -176,7 +176,7 @@ def test_ten_levels_of_nodes():
 def test_records_hold_boxes_in_float64_within_a_unit():
     boxes = some_boxes(300, 20)
     tree = build_tree(boxes)
-    records = nodes_module._records(tree, False)
+    records = nodes_module._records(tree, False).view(np.uint32)
     for k in (1, 4, 7, 21):
         words = records[k]
         if not words[7] >> 24:

@@ -13,7 +13,8 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein, shapes
 from mitsuba_bezier.geometry.covers import ruled_cover
 from mitsuba_bezier.kernels.arrays import types_of
-from mitsuba_bezier.kernels.graph.chart import _cull, cull, first_root
+from mitsuba_bezier.kernels.graph.chart import LeafBounds, _cull, cull, first_root
+from mitsuba_bezier.kernels.query import Query, Rays
 from mitsuba_bezier.kernels.structure import Structure, build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
@@ -228,9 +229,8 @@ def test_no_leaf_is_culled_that_is_met(surface):
     ty = types_of(Float)
     columns = [[Float(np.ascontiguousarray(a[judged, k])) for k in range(3)] for a in (o, d)]
     structure = build_structure(every, Float)
-    candidate, line = cull(
-        structure, ty, ty.UInt(leaf[judged]), *columns, Float(np.inf), ty.Bool(True)
-    )
+    query, rays = Query(structure, ty, False), Rays(*columns, Float(np.inf))
+    candidate, line = cull(query, ty.UInt(leaf[judged]), rays, ty.Bool(True))
     assert np.array(candidate).all()
     # and the march begins before the surface is met; 0.01 for what the point may be off
     begin = np.array(line.base) + np.array(line.tau, dtype=np.float64)
@@ -295,9 +295,7 @@ def test_what_is_within_the_remainder_is_not_culled():
     x0, e = ([Float(x) for x in row] for row in ((0.2, 0.2, 0.03), (0.1, 0.0, 0.001)))
     found = []
     for remainder in (0.05, 0.02):
-        candidate, _line = _cull(
-            Float(0), x0, e, [Float(0)] * 3, Float(remainder), [Float(1e-4)] * 3, None, Float(0),
-            Float(np.inf),
-        )  # fmt: skip
+        bounds = LeafBounds([Float(0)] * 3, Float(remainder), [Float(1e-4)] * 3, None)
+        candidate, _line = _cull((x0, e), bounds, Float(0), Float(np.inf), Float(0))
         found.append(bool(candidate[0]))
     assert found == [True, False]

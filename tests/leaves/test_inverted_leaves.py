@@ -90,7 +90,10 @@ def test_hits(patches):
 def test_one_quadric_is_one_group():
     for patches in (SPHERE, single(SPHERE), CYLINDER, CONE):
         assert len(np.unique(build_leaves(patches).closed_form.group)) == 1
-    assert len(np.unique(build_leaves(mb.BezierTriangles.join([CYLINDER, CONE])).closed_form.group)) == 2
+    assert (
+        len(np.unique(build_leaves(mb.BezierTriangles.join([CYLINDER, CONE])).closed_form.group))
+        == 2
+    )
     # a table has bits for sixteen
     groups = np.bincount(build_leaves(revolution(LOW, HIGH, segments=8)).closed_form.group)
     assert groups.tolist() == [16, 16]

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 
-from ...leaves.records import CLOSED_FORMS, INVERTED_KINDS, LeafKind
-from ..arrays import Types, dot3, gather_packets, reciprocal
+from ...leaves.records import CLOSED_FORMS, LeafKind
+from ..arrays import dot3, gather_packets, reciprocal
 from ..quadric_records import CELLS, INVERSE, MEMBER, MIN_GROUP_FOR_TABLE, TABLE
+from ..query import Query
 from ..records import is_kind
 from ..structure import Structure
 from ..trim import leaf_test
-from .newton import inverted_parameters, shared_rows
+from .kinds import KINDS
+from .polynomials import shared_rows
 
-__all__ = ["Roots", "find_members", "find_members_singly"]
+__all__ = ["Members", "OnMember", "Roots", "find_deferred", "find_members"]
 
 #: Rounding of a member's rows, and of a point, in their own scale, some eight of float32. It
 #: matters where all three coordinates are small, at the centre of projection (the tip of a lune),
@@ -25,6 +29,26 @@ ROWS = 5e-7
 
 #: Sums of sides, in their own scale, of which a rounding of float32 is 1e-6 at most.
 ENOUGH = 0.1
+
+
+@dataclass(frozen=True)
+class Members:
+    """The patches of a quadric, as the record of their group has them."""
+
+    group: Any  #: UInt
+    first: Any  #: UInt
+    count: Any  #: UInt, see `GROUP`
+
+
+@dataclass
+class OnMember:
+    """Which of two points is on a member of a group."""
+
+    hit: Any  #: Bool
+    second: Any  #: Bool: which point it is
+    leaf: Any
+    u: Any  #: of the leaf
+    v: Any
 
 
 @dataclass
@@ -61,33 +85,22 @@ def _inside(s: Structure, m: SimpleNamespace, p: list[Any], tolerance: Any) -> A
     return (lowest >= -dr.fma(tolerance, size, ROWS)) & (size >= m.least_sum)
 
 
-def find_members(
-    s: Structure, ty: Types, group: Any, first: Any, count: Any, roots: Roots
-) -> tuple[Any, Any, Any, Any, Any]:
-    """Find the first of two points that is on a member of a group.
-
-    Returns
-    -------
-    hit : Bool
-    second : Bool
-        Which point it is.
-    leaf : UInt
-    u, v : Float
-        Of the leaf.
-    """
+def find_members(query: Query, members: Members, roots: Roots) -> OnMember:
+    """Find the first of two points that is on a member of a group."""
+    s, ty, first, count = query.s, query.ty, members.first, members.count
     want1, want2 = roots.wanted
     k, following = first, first + 1
     if s.has_tables:
-        first = first + (group + 1) * TABLE
+        first = first + (members.group + 1) * TABLE
         point = [dr.select(want1, a, b) for a, b in zip(*roots.point)]
         many = count >= MIN_GROUP_FOR_TABLE
-        likely = _likely_member(s, ty, first, point, many & (want1 | want2))
+        likely = _likely_member(query, first, point, many & (want1 | want2))
         k = dr.select(many, first + dr.minimum(likely, count - 1), first)
         following = dr.select(many, first, first + 1)
     last = first + count
 
     def parameters(leaf: Any, along: Any, active: Any) -> tuple[Any, Any]:
-        return _barycentrics(s, ty, leaf, roots.exactly(along), active)
+        return _barycentrics(query, leaf, roots.exactly(along), active)
 
     def body(
         run: Any, k: Any, following: Any, hit1: Any, hit2: Any, leaf1: Any, leaf2: Any, sides: Any
@@ -123,9 +136,9 @@ def find_members(
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
     along = dr.select(hit1, *roots.along)
     if not s.by_sides:
-        return hit, ~hit1, leaf, *parameters(leaf, along, hit)
+        return OnMember(hit, ~hit1, leaf, *parameters(leaf, along, hit))
     u, v = _from_sides(s, sides, leaf, along, hit, parameters)
-    return hit, ~hit1, leaf, u, v
+    return OnMember(hit, ~hit1, leaf, u, v)
 
 
 def _from_sides(
@@ -148,20 +161,19 @@ def _from_sides(
     )
 
 
-def find_members_singly(
-    s: Structure, ty: Types, first: Any, count: Any, roots: Roots
-) -> tuple[Any, Any, Any, Any, Any]:
+def find_deferred(query: Query, members: Members, roots: Roots) -> OnMember:
     """As `find_members`, where parameters tell whether a point is on some of the members.
 
     Lanes look for a member that may have one of their points, and wait for the others: then all
     take Newton's method. The members to be looked at are the bits of a word: those that may have
     the first point from bit 0 on, those that may have the second one from bit 16 on.
     """
-    table = count >> 5
-    count = count & 31
+    s, ty = query.s, query.ty
+    table = members.count >> 5
+    count = members.count & 31
     many = table > 0
     masks = [
-        dr.select(many, _possible_members(s, ty, table - 1, point, many & wanted), (1 << count) - 1)
+        dr.select(many, _possible_members(query, table - 1, point, many & wanted), (1 << count) - 1)
         for point, wanted in zip(roots.point, roots.wanted)
     ]
     masks = [dr.select(wanted, mask, 0) for wanted, mask in zip(roots.wanted, masks)]
@@ -170,7 +182,7 @@ def find_members_singly(
         def step(go: Any, left: Any, found: Any, second: Any, leaf: Any, kind: Any) -> Any:
             place = ty.UInt(dr.tzcnt(left))
             left = left & (left - 1)
-            m = MEMBER.gather(s.members, first + (place & 15), go, "kind")
+            m = MEMBER.gather(s.members, members.first + (place & 15), go, "kind")
             leaf, kind = m.leaf, m.kind
             second = place >= 16
             p = [dr.select(second, b, a) for a, b in zip(*roots.point)]
@@ -188,12 +200,7 @@ def find_members_singly(
         )
         p = roots.exactly(dr.select(second, roots.along[1], roots.along[0]))
         tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
-        by_newton = is_kind(kind, LeafKind.INVERTED) | is_kind(kind, LeafKind.INVERTED_APEX)
-        inside, u, v = inverted_parameters(s, ty, leaf, p, tolerance, found & by_newton)
-        if s.has(*CLOSED_FORMS - INVERTED_KINDS):
-            other_u, other_v = _barycentrics(s, ty, leaf, p, found & ~by_newton)
-            u, v = dr.select(by_newton, u, other_u), dr.select(by_newton, v, other_v)
-        hit = found & (inside | ~by_newton)
+        hit, u, v = _decide(query, leaf, kind, p, tolerance, found)
         kept = leaf_test(s, leaf)
         if kept is not None:
             hit = hit & kept(u, v, hit)
@@ -208,11 +215,37 @@ def find_members_singly(
         labels=("run", "left", "hit", "second", "leaf", "u", "v"),
         label="bezier group members",
     )
-    return hit, second, leaf, u, v
+    return OnMember(hit, second, leaf, u, v)
 
 
-def _possible_members(s: Structure, ty: Types, table: Any, point: list[Any], active: Any) -> Any:
+def _decide(
+    query: Query, leaf: Any, kind: Any, p: list[Any], tolerance: Any, found: Any
+) -> tuple[Any, Any, Any]:
+    """Find out whether points between the sides of members are on them, and their parameters."""
+    kinds = query.s.kinds & CLOSED_FORMS
+    hit, u, v = found, None, None
+    by_sides = [k for k in kinds if KINDS[k].decide is None]
+    if by_sides:
+        others = _any_kind(kind, by_sides)
+        u, v = _barycentrics(query, leaf, p, found & others)
+    for decide in dict.fromkeys(KINDS[k].decide for k in sorted(kinds - set(by_sides))):
+        assert decide is not None
+        mine = _any_kind(kind, [k for k in kinds if KINDS[k].decide is decide])
+        inside, its_u, its_v = decide(query, leaf, p, tolerance, found & mine)
+        u = its_u if u is None else dr.select(mine, its_u, u)
+        v = its_v if v is None else dr.select(mine, its_v, v)
+        hit = hit & (inside | ~mine)
+    return hit, u, v
+
+
+def _any_kind(kind: Any, kinds: list[LeafKind]) -> Any:
+    """Return a mask of leaves of one of these kinds."""
+    return reduce(or_, (is_kind(kind, k) for k in sorted(kinds)))
+
+
+def _possible_members(query: Query, table: Any, point: list[Any], active: Any) -> Any:
     """Look up which members of a group may have a point, as bits."""
+    s, ty = query.s, query.ty
     at = table * CELLS.size
     scale = gather_packets(s.cells, at >> 3, 8, active)
     inside, cell = ty.Bool(True), ty.UInt(0)
@@ -227,8 +260,9 @@ def _possible_members(s: Structure, ty: Types, table: Any, point: list[Any], act
     return dr.select(inside, bits & 0xFFFF, 0)
 
 
-def _likely_member(s: Structure, ty: Types, first: Any, point: list[Any], active: Any) -> Any:
+def _likely_member(query: Query, first: Any, point: list[Any], active: Any) -> Any:
     """Look up which member of a group covers a point, most likely, in the table before them."""
+    s, ty = query.s, query.ty
     floats, cell = first * MEMBER.size, ty.UInt(0)
     word = dr.gather(ty.Float32, s.members, floats + MEMBER.first["cells"], active)
     word = dr.reinterpret_array(ty.UInt, word)
@@ -245,29 +279,20 @@ def _values(rows: list[list[Any]], p: list[Any]) -> list[Any]:
     return [dot3(row, p) + row[3] for row in rows]
 
 
-def _barycentrics(s: Structure, ty: Types, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
+def _barycentrics(query: Query, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
     """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32.
 
-    For sectors of cones these are the first two from the corner on that is their apex.
+    Of sectors of cones these are the first two from the corner on that is their apex.
     """
+    s, ty = query.s, query.ty
     number = dr.select(active, leaf - s.first_group, 0)
-    has_cones = s.has(LeafKind.CONE)
-    m = INVERSE.gather(s.inverses, number, active, None if has_cones else "rows")
+    others = [KINDS[k].at_point for k in sorted(s.kinds & CLOSED_FORMS) if KINDS[k].at_point]
+    m = INVERSE.gather(s.inverses, number, active, None if others else "rows")
     bary = _values(m.rows, p)
     total = ty.Float(bary[0] + bary[1] + bary[2])
     inv = reciprocal(dr.select(total == 0.0, 1.0, total))
     b0, b1, b2 = (ty.Float(b) for b in bary)
     u, v = b0 * inv, b1 * inv
-    if not has_cones:
-        return u, v
-    # all that is no sector has a fourth row of zeros
-    last = ty.Float(dot3(m.fourth, p) + m.fourth[3])
-    is_cone = last != 0.0
-    # through the larger: where a coordinate is small its root is not well known
-    first = b0 >= b2
-    large = dr.maximum(dr.select(first, b0, b2), 1e-30)
-    one = dr.sqrt(large / last)
-    other = one * b1 / (2.0 * large)
-    u = dr.select(is_cone, dr.select(first, one, other), u)
-    v = dr.select(is_cone, dr.select(first, other, one), v)
+    for at_point in others:
+        u, v = at_point(ty, m, p, [b0, b1, b2], (u, v))
     return u, v

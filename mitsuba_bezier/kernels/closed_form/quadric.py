@@ -6,12 +6,13 @@ from typing import Any
 
 import drjit as dr
 
-from ...leaves.records import INVERTED_KINDS, LeafKind
-from ..arrays import Types, dot3, inverse_root, reciprocal
+from ...leaves.records import CLOSED_FORMS
+from ..arrays import dot3, inverse_root, reciprocal
 from ..edges import edge_tolerance
 from ..quadric_records import AXES, GROUP
-from ..structure import Structure
-from .members import Roots, find_members, find_members_singly
+from ..query import Found, Query, Rays
+from .kinds import KINDS
+from .members import Members, Roots, find_deferred, find_members
 
 __all__ = ["group_hit"]
 
@@ -21,26 +22,18 @@ __all__ = ["group_hit"]
 APEX = 1e-14
 
 
-def group_hit(
-    s: Structure, ty: Types, group: Any, o: Any, d: Any, t_max: Any, active: Any
-) -> tuple[Any, Any, Any, Any, Any]:
+def group_hit(query: Query, group: Any, rays: Rays, active: Any) -> Found:
     """Find the first hit with a group.
 
     The quadratic ``q s^2 + 2 b s + c = 0`` is solved in float64 about the point of the ray
     nearest the group's origin; so the parameter of a hit and the decision at a silhouette are
     as exact as the quadric itself.
-
-    Returns
-    -------
-    hit : Bool
-    t, u, v : Float
-        Ray parameter; barycentrics of the patch.
-    leaf : UInt
     """
+    s, ty, o, d, t_max = query.s, query.ty, rays.o, rays.d, rays.t_max
     f64 = ty.Float64
     g = GROUP.read(s.only_group) if s.only_group else GROUP.gather(s.groups, group, active)
     a = g.quadric
-    has_apexes = s.has(LeafKind.CONE, LeafKind.INVERTED_APEX)
+    has_apexes = any(KINDS[k].singular for k in s.kinds & CLOSED_FORMS)
     dd = [f64(d[i]) for i in range(3)]
     od = [f64(o[i]) - g.shift[i] for i in range(3)]
     if s.axes is not None:  # in which the group is about as large in one direction as in another
@@ -105,12 +98,9 @@ def group_hit(
     p2 = [dr.fma(far32, d[i], middle[i]) for i in range(3)]
 
     roots = Roots([want1, want2], [near, far], [p1, p2], [tolerance1, tolerance2], p, dd)
-    first, count = ty.UInt(g.first), ty.UInt(g.count)
-    if s.has(*INVERTED_KINDS):
-        found = find_members_singly(s, ty, first, count, roots)
-    else:
-        found = find_members(s, ty, group, first, count, roots)
-    hit, second, leaf, u, v = found
-    tolerance = dr.select(second, tolerance2, tolerance1)
-    u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (u, v))
-    return hit, dr.select(second, t2, t1), u, v, leaf
+    members = Members(group, ty.UInt(g.first), ty.UInt(g.count))
+    deferred = any(KINDS[k].decide for k in s.kinds & CLOSED_FORMS)
+    found = (find_deferred if deferred else find_members)(query, members, roots)
+    tolerance = dr.select(found.second, tolerance2, tolerance1)
+    u, v = (dr.clip(x, -tolerance, 1.0 + tolerance) for x in (found.u, found.v))
+    return Found(found.hit, dr.select(found.second, t2, t1), u, v, found.leaf)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 
 from ...leaves.records import LEAST_REACH, LeafKind
 from ..arrays import Types, dot3, reciprocal
+from ..query import Query, Rays
 from ..structure import (
     AFFINE,
     LEAST_REMAINDER,
@@ -21,10 +23,38 @@ from ..structure import (
     PROJECTIVE,
     REACH_DIGITS,
     REMAINDER_DIGITS,
-    Structure,
 )
 
-__all__ = ["ChartLine", "affine_line", "cull", "first_root", "projective_line", "root_fraction"]
+__all__ = [
+    "ChartLine",
+    "ChartRays",
+    "LeafBounds",
+    "affine_rays",
+    "cull",
+    "first_root",
+    "projective_rays",
+    "root_fraction",
+]
+
+
+@dataclass(frozen=True)
+class ChartRays:
+    """The images ``x0 + tau e`` of rays in the charts of leaves."""
+
+    x0: list[Any]  #: three numbers, as the next of the type in which they are known
+    e: list[Any]
+    parameter: Callable[[Any], Any]  #: takes ``tau`` to the ray parameter
+    turns: Any = False  #: Bool: whether ``tau`` and the ray parameter need not grow together
+
+
+@dataclass(frozen=True)
+class LeafBounds:
+    """What culling knows of leaves: their quadratic, and how far they are from it."""
+
+    quadratic: list[Any]  #: a, b, c
+    remainder: Any
+    outward: list[Any]
+    inward: list[Any] | None  #: None where culling is not to find certain hits
 
 
 @dataclass
@@ -32,7 +62,7 @@ class ChartLine:
     """How far culling got with a ray in the chart of a leaf.
 
     The ray is a line ``x0 + tau e`` there. In an affine chart ``tau`` is the ray parameter from
-    `base`; for projective ones see `projective_line`. The surface is certainly not met between
+    `base`; for projective ones see `projective_rays`. The surface is certainly not met between
     the entry into the leaf's prism and ``tau``.
     """
 
@@ -41,7 +71,7 @@ class ChartLine:
     tau: Any
     end: Any  #: where the ray leaves the prism
     sign: Any  #: side of the surface the ray enters on; zero where the quadratic cannot tell
-    sure: Any  #: Bool: there certainly is a hit; never set where culling was not to decide
+    certain_hit: Any  #: Bool; never set where culling was not to find out
 
     @staticmethod
     def zero(ty: Types) -> ChartLine:
@@ -50,22 +80,10 @@ class ChartLine:
         return ChartLine(dr.zeros(ty.Float64), zero, zero, zero, zero, ty.Bool(False))
 
 
-def cull(
-    s: Structure,
-    ty: Types,
-    leaf: Any,
-    o: Any,
-    d: Any,
-    t_max: Any,
-    active: Any,
-    decide: bool = False,
-) -> tuple[Any, ChartLine]:
+def cull(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
     """Cull with the leaf's quadratic.
 
-    Parameters
-    ----------
-    decide : bool
-        Whether to find out where there certainly is a hit, too; not in projective charts.
+    If the query ends there, certain hits are found, too; not in projective charts.
 
     Returns
     -------
@@ -73,30 +91,30 @@ def cull(
         False: there is certainly no hit in this leaf for ``0 < t < t_max``.
     line : ChartLine
     """
+    s = query.s
     if not s.has(LeafKind.GRAPH_PROJECTIVE):
-        return _cull_affine(s, ty, leaf, o, d, t_max, active, decide)
+        return _cull_affine(query, leaf, rays, active)
     if not s.has(LeafKind.GRAPH_AFFINE):
-        return _cull_projective(s, ty, leaf - s.first_projective, o, d, t_max, active)
+        return _cull_projective(query, leaf - s.first_projective, rays, active)
     straight = leaf < s.first_projective
     return dr.if_stmt(
-        args=(leaf, o, d, t_max, active),
+        args=(leaf, rays, active),
         cond=straight,
-        true_fn=lambda leaf, o, d, t, a: _cull_affine(s, ty, leaf, o, d, t, a, decide),
-        false_fn=lambda leaf, o, d, t, a: _cull_projective(
-            s, ty, leaf - s.first_projective, o, d, t, a
+        true_fn=lambda leaf, rays, active: _cull_affine(query, leaf, rays, active),
+        false_fn=lambda leaf, rays, active: _cull_projective(
+            query, leaf - s.first_projective, rays, active
         ),
         label="bezier chart",
     )
 
 
-def _cull_affine(
-    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any, decide: bool
-) -> tuple[Any, ChartLine]:
+def _cull_affine(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
     """Cull in float32; what that may be off is a part of the leaf's bounds.
 
     Only the ray's point near the leaf is found in float64, so that neither rays from afar nor
-    scenes far off make it worse. The march goes along a line that is known better: `affine_line`.
+    scenes far off make it worse. The march goes along a line that is known better: `affine_rays`.
     """
+    s, ty, o, d = query.s, query.ty, rays.o, rays.d
     record = AFFINE.gather(s.affine, leaf, active)
     rows = record.rows
     e = [dot3(row, d) for row in rows]
@@ -104,7 +122,7 @@ def _cull_affine(
     t0 = f64(
         -dot3([o[i] - ty.Float(record.shift[i]) for i in range(3)], d) * reciprocal(dot3(d, d))
     )
-    near = _point(ty, record.shift, t0, o, d)
+    near = _point(ty, record.shift, t0, rays)
     x0 = [dot3(row, [ty.Float(x) for x in near]) for row in rows]
     # on a leaf as thin as a hair the nearest point may be thousands of widths away: then on to the
     # point nearest in the chart
@@ -115,12 +133,13 @@ def _cull_affine(
     remainder = _number(ty, word, 0, REMAINDER_DIGITS, LEAST_REMAINDER)
     outward = [_number(ty, word, at, REACH_DIGITS, LEAST_REACH) for at in OUTWARD_BITS]
     inward = None
-    if decide:
+    if query.ends_where_certain:
         inward = [
             _number(ty, word, 0, REACH_DIGITS, LEAST_REACH) for word in record.quadratic_inward
         ]
-    lo, hi = ty.Float(-base), ty.Float(f64(t_max) - base)
-    return _cull(base, x0, e, affine_quadratic(ty, record), remainder, outward, inward, lo, hi)
+    bounds = LeafBounds(affine_quadratic(ty, record), remainder, outward, inward)
+    lo, hi = ty.Float(-base), ty.Float(f64(rays.t_max) - base)
+    return _cull((x0, e), bounds, lo, hi, base)
 
 
 def _number(ty: Types, word: Any, at: int, digits: tuple[int, int], least: float) -> Any:
@@ -138,45 +157,39 @@ def affine_quadratic(ty: Types, record: SimpleNamespace) -> list[Any]:
     return [dr.reinterpret_array(ty.Float32, x & 0xFFFFFF00) for x in record.quadratic_inward]
 
 
-def _point(ty: Types, shift: list[Any], t: Any, o: Any, d: Any) -> list[Any]:
+def _point(ty: Types, shift: list[Any], t: Any, rays: Rays) -> list[Any]:
     """Return the point of a ray at `t`, from a leaf's shift, in float64."""
     f64 = ty.Float64
-    return [dr.fma(t, f64(d[i]), f64(o[i]) - f64(shift[i])) for i in range(3)]
+    return [dr.fma(t, f64(rays.d[i]), f64(rays.o[i]) - f64(shift[i])) for i in range(3)]
 
 
-def affine_line(
-    ty: Types, record: SimpleNamespace, base: Any, o: Any, d: Any, wide: bool = False
-) -> tuple[list[Any], list[Any]]:
-    """Return the image ``x0 + tau e`` of a ray under an affine leaf's chart; `base` is at zero.
+def affine_rays(
+    ty: Types, record: SimpleNamespace, base: Any, rays: Rays, wide: bool = False
+) -> ChartRays:
+    """Return the images of rays under an affine leaf's chart; the parameter `base` is at zero.
 
     `x0` is found in float64; both are float64 if `wide`.
     """
     f64 = ty.Float64
-    near = _point(ty, record.shift, base, o, d)
+    near = _point(ty, record.shift, base, rays)
     rows = record.rows
     wide_rows = [[f64(x) for x in row] for row in rows]
     x0 = [dot3(row, near) for row in wide_rows]
     if wide:
-        return x0, [dot3(row, [f64(d[i]) for i in range(3)]) for row in wide_rows]
-    return [ty.Float(x) for x in x0], [dot3(row, d) for row in rows]
+        e = [dot3(row, [f64(rays.d[i]) for i in range(3)]) for row in wide_rows]
+    else:
+        x0, e = [ty.Float(x) for x in x0], [dot3(row, rays.d) for row in rows]
+    return ChartRays(x0, e, lambda tau: ty.Float(base + ty.Float64(tau)))
 
 
-def projective_line(ty: Types, record: SimpleNamespace, o: Any, d: Any) -> tuple[Any, ...]:
-    """Return the image of a ray under a projective leaf's collineation, in float64.
+def projective_rays(ty: Types, record: SimpleNamespace, rays: Rays) -> ChartRays:
+    """Return the images of rays under a projective leaf's collineation, in float64.
 
     Homogeneously the ray is ``a + s b``, ``a`` being the point nearest the shift. The image is
     taken as ``x0 + tau e`` through ``a_w a + b_w b``, which is never at the chart's infinity, as
     its ``w`` is ``a_w^2 + b_w^2``, and then moved to its point nearest the leaf's centre.
-
-    Returns
-    -------
-    x0, e : three Float64 each
-    parameter : function
-        Takes ``tau`` to the ray parameter.
-    both : Bool
-        Whether ``tau`` and the ray parameter need not grow together.
     """
-    f64 = ty.Float64
+    f64, o, d = ty.Float64, rays.o, rays.d
     od = [f64(o[i]) - f64(record.shift[i]) for i in range(3)]
     dd = [f64(d[i]) for i in range(3)]
     t0 = -dot3(od, dd) / dot3(dd, dd)
@@ -193,38 +206,30 @@ def projective_line(ty: Types, record: SimpleNamespace, o: Any, d: Any) -> tuple
 
     def parameter(tau: Any) -> Any:
         tau = tau + middle
-        return t0 + dr.fma(tau, aw, bw) / dr.fma(-tau, bw, aw)
+        return ty.Float(t0 + dr.fma(tau, aw, bw) / dr.fma(-tau, bw, aw))
 
-    return x0, e, parameter, bw != 0.0
+    return ChartRays(x0, e, parameter, bw != 0.0)
 
 
-def _cull_projective(
-    s: Structure, ty: Types, leaf: Any, o: Any, d: Any, t_max: Any, active: Any
-) -> tuple[Any, ChartLine]:
+def _cull_projective(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
     """As `_cull_affine`, on the line's image under the chart's collineation."""
-    record = PROJECTIVE.gather(s.projective, leaf, active)
-    x0, e, _parameter, _both = projective_line(ty, record, o, d)
-    x0, e = [ty.Float(x) for x in x0], [ty.Float(x) for x in e]
+    ty = query.ty
+    record = PROJECTIVE.gather(query.s.projective, leaf, active)
+    there = projective_rays(ty, record, rays)
+    line = [ty.Float(x) for x in there.x0], [ty.Float(x) for x in there.e]
     infinity = dr.full(ty.Float, dr.inf)
     zero = dr.zeros(ty.Float64)
-    outward = [record.outward] * 3
-    return _cull(
-        zero, x0, e, record.quadratic, record.remainder, outward, None, -infinity, infinity
-    )
+    bounds = LeafBounds(record.quadratic, record.remainder, [record.outward] * 3, None)
+    return _cull(line, bounds, -infinity, infinity, zero)
 
 
 def _cull(
-    base: Any,
-    x0: list[Any],
-    e: list[Any],
-    quadratic: list[Any],
-    remainder: Any,
-    outward: list[Any],
-    inward: list[Any] | None,
-    lo: Any,
-    hi: Any,
+    line: tuple[list[Any], list[Any]], bounds: LeafBounds, lo: Any, hi: Any, base: Any
 ) -> tuple[Any, ChartLine]:
-    a, b, c = quadratic
+    """Cull the piece from `lo` to `hi` of a line ``x0 + tau e`` in a chart."""
+    x0, e = line
+    a, b, c = bounds.quadratic
+    remainder, outward, inward = bounds.remainder, bounds.outward, bounds.inward
     bends = dr.abs(a) + dr.abs(b) + dr.abs(c)
     # |quadratic| over the enlarged triangle, a little more to be safe: with the sum m of `outward`,
     # products of barycentrics are at most (1 + m)^2 / 4 or, where one is negative, m (1 + m)
@@ -263,16 +268,16 @@ def _cull(
     tau = dr.select(clear, lo + step, lo)
     candidate = (lo <= hi) & (~clear | (exists & (tau <= hi)))
     sign = dr.select(clear, sign, 0.0)
-    sure = type(candidate)(False)
+    certain = type(candidate)(False)
     if inward is not None:
         # over what the leaf covers the ray changes from one side of it to the other
         first = dr.fma(dr.fma(gamma, inner_lo, slope0), inner_lo, alpha)
         last = dr.fma(dr.fma(gamma, inner_hi, slope0), inner_hi, alpha)
-        sure = (inner_lo < inner_hi) & (first * last < 0.0)
-        sure = sure & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)
+        certain = (inner_lo < inner_hi) & (first * last < 0.0)
+        certain = certain & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)
         # along an edge the cuts above do not tell on which side of it
-        sure = sure & (e[0] * e[1] * ew != 0.0)
-    return candidate | sure, ChartLine(base, gamma, tau, hi, sign, sure)
+        certain = certain & (e[0] * e[1] * ew != 0.0)
+    return candidate | certain, ChartLine(base, gamma, tau, hi, sign, certain)
 
 
 def first_root(value: Any, slope: Any, half_second: Any) -> tuple[Any, Any]:

@@ -11,10 +11,10 @@ from typing import Any
 
 import drjit as dr
 
-from ..arrays import Types
 from ..net import graph_point
-from ..structure import AFFINE, Structure
-from .chart import affine_line
+from ..query import Query, Rays
+from ..structure import AFFINE
+from .chart import affine_rays
 
 __all__ = ["polish"]
 
@@ -26,37 +26,28 @@ _GRAZING = 0.1
 _SHARE = 0.1
 
 
-def polish(
-    s: Structure,
-    ty: Types,
-    leaf: Any,
-    base: Any,
-    o: Any,
-    d: Any,
-    hit: tuple[Any, Any, Any, Any],
-    active: Any,
-) -> tuple[Any, Any, Any]:
+def polish(query: Query, leaf: Any, base: Any, rays: Rays, best: Any) -> tuple[Any, Any, Any]:
     """Do a step of Newton's method from hits in affine leaves, where they are grazing.
 
     Parameters
     ----------
     base : Float64
         Ray parameter of a point near the leaf, see `chart.ChartLine`.
-    hit : tuple
-        Ray parameter, leaf barycentrics, and how fast the ray comes nearer to the surface, in leaf
-        sizes.
+    best : march.Best
+        The hits.
 
     Returns
     -------
     t, u, v : Float
     """
-    t, u, v, closing = hit
+    s, ty = query.s, query.ty
 
     def step(t: Any, u: Any, v: Any, closing: Any, leaf: Any, base: Any) -> Any:
         f64 = ty.Float64
-        record = AFFINE.gather(s.affine, leaf, active)
-        net = [f64(x) for x in s.degree_record.gather(s.nets, leaf, active).net]
-        (x0, y0, z0), (ex, ey, ez) = affine_line(ty, record, base, o, d, wide=True)
+        record = AFFINE.gather(s.affine, leaf, best.hit)
+        net = [f64(x) for x in s.degree_record.gather(s.nets, leaf, best.hit).net]
+        there = affine_rays(ty, record, base, rays, wide=True)
+        (x0, y0, z0), (ex, ey, ez) = there.x0, there.e
         u64, v64, tau = f64(u), f64(v), f64(t) - base
         (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, s.degree, u64, v64)
         # from the ray to the surface, and what the ray is in the tangent plane's coordinates
@@ -76,8 +67,8 @@ def polish(
         )
 
     return dr.if_stmt(
-        args=(t, u, v, closing, leaf, base),
-        cond=active & (closing * t < _GRAZING),
+        args=(best.t, best.u, best.v, best.closing, leaf, base),
+        cond=best.hit & (best.closing * best.t < _GRAZING),
         true_fn=step,
         false_fn=lambda t, u, v, *_: (t, u, v),
         label="bezier grazing",

@@ -16,7 +16,7 @@ from ..scene import SceneRays
 from .depths import check_depths
 from .emitters import EmitterSampling
 from .media import Media, flight_channel, flight_weight, hit_distance, transmittance
-from .path_tracing import mis_weight
+from .path_tracing import mis_weight, russian_roulette
 
 __all__ = ["make_volpath_class"]
 
@@ -247,14 +247,9 @@ def _trace(
             direct = dr.select(scatters, ~medium.use_emitter_sampling(), direct)
         medium = dr.select(crosses, si.target_medium(ray.d), medium)
 
-        # ---- Russian roulette; eta^2 undoes the solid angle compression of refraction
         active = (turns | passes | (active & collides)) & (depth < max_depth)
-        strongest = dr.max(mi.unpolarized_spectrum(throughput))
-        survive = dr.minimum(strongest * dr.square(eta), 0.95)
-        roulette = active & (depth > rr_depth)
-        goes_on = sampler.next_1d(roulette) < survive
-        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
-        active = active & (~roulette | goes_on) & (strongest != 0.0)
+        plays = active & (depth > rr_depth)
+        throughput, survives = russian_roulette(sampler, throughput, eta, plays, plays)
         return (
             {
                 "ray": ray,
@@ -266,7 +261,7 @@ def _trace(
                 "eta": eta,
                 "depth": depth,
                 "valid": st["valid"] | bends | scatters,
-                "active": active,
+                "active": active & survives,
                 "last": last,
                 "last_pdf": last_pdf,
                 "direct": direct,

@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from ... import _runtime
 from ...errors import BezierError
-from ..offsets import spawn_ray, spawn_ray_to
+from ..offsets import spawn_ray
 from ..scene import SceneRays
 from .emitters import EmitterSampling
 from .path_tracing import mis_weight, skip_emitters
@@ -133,15 +133,13 @@ def make_direct_class() -> type:
             bsdf = si.bsdf(ray)
             smooth = valid & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             for _ in range(lights):
-                ds, weight, end_err = emitters.sample(si, sampler.next_2d(smooth), smooth)
-                lit = smooth & (ds.pdf != 0.0)
-                shadow = spawn_ray_to(si, p_err, ds.p, ds.n, end_err)
-                lit = lit & ~rays.is_blocked(shadow, lit)
+                light = emitters.sample_visible(si, p_err, sampler.next_2d(smooth), smooth)
+                ds = light.ds
                 wo = si.to_local(ds.d)
-                value, pdf = bsdf.eval_pdf(context, si, wo, lit)
+                value, pdf = bsdf.eval_pdf(context, si, wo, light.lit)
                 value = si.to_world_mueller(value, -wo, si.wi)
                 mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf * lights, pdf * scatterings))
-                result += dr.select(lit, value * weight * mis / lights, 0.0)
+                result += dr.select(light.lit, value * light.weight * mis / lights, 0.0)
 
             for _ in range(scatterings):
                 sample, value = bsdf.sample(

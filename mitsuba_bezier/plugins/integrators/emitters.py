@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -10,17 +10,26 @@ import numpy as np
 
 from ..interaction import Preliminary
 from ..native.originals import original
-from ..offsets import own_error, spawn_ray
+from ..offsets import own_error, spawn_ray, spawn_ray_to
 from ..scene import SceneRays
-from ..surface_sampling import SurfaceSampling, direction_sample
+from ..surface_sampling import SurfaceSampling, direction_sample, per_solid_angle
 
-__all__ = ["EmitterSampling"]
+__all__ = ["EmitterSampling", "LightSample"]
 
 _NONE = 0xFFFFFFFF
 
 
 def _number(emitter: Any) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
+
+
+class LightSample(NamedTuple):
+    """A point sampled on an emitter, and whether it is seen."""
+
+    ds: Any  #: mi.DirectionSample3f
+    weight: Any
+    hit: Preliminary  #: the point as a hit where it is on a patch
+    lit: Any  #: Bool: nothing is between
 
 
 class EmitterSampling:
@@ -66,6 +75,30 @@ class EmitterSampling:
         """
         return self.sample_hit(si, sample, active)[:3]
 
+    def sample_visible(self, si: Any, p_err: Any, sample: Any, active: Any) -> LightSample:
+        """Sample an emitter, and test whether it is seen from the point of an interaction.
+
+        `p_err` is the error of the point, as `SceneRays.meet` returns it.
+        """
+        ds, weight, end_err, hit = self.sample_hit(si, sample, active)
+        lit = active & (ds.pdf != 0.0)
+        shadow = spawn_ray_to(si, p_err, ds.p, ds.n, end_err)
+        return LightSample(ds, weight, hit, lit & ~self.rays.is_blocked(shadow, lit))
+
+    def _on_patches(self, light: Any, sample: Any, ours: Any) -> tuple[Any, Any, Preliminary]:
+        """Sample points of lights on patches; return them, their errors and the same as hits.
+
+        The hits have neither shape nor distance.
+        """
+        assert self.surfaces is not None and self.rays.data is not None
+        light = dr.select(ours, light, 0)
+        patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample), ours)
+        ps, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
+        hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), ours, patch)
+        hit.pi.prim_uv, hit.pi.valid = mi.Point2f(u, v), ours
+        hit.pi.shape, hit.pi.prim_index = self.rays.data.owner(patch, ours)
+        return ps, p_err, hit
+
     def sample_hit(self, si: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Preliminary]:
         """Return what `sample` does, and the sampled point as a hit where it is on a patch."""
         if self.surfaces is None:
@@ -81,17 +114,14 @@ class EmitterSampling:
         emitter = dr.gather(mi.EmitterPtr, self.pointers, index, active)
         ds, value = emitter.sample_direction(si, sample, active & ~ours)
 
-        light = dr.select(ours, light, 0)
-        patch, u, v, linear = self.surfaces.sample_parameters(light, sample, ours)
-        ps, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
+        ps, p_err, hit = self._on_patches(light, sample, ours)
         exact = direction_sample(ps, si)
         exact.emitter = emitter
-        data = self.rays.data
-        assert data is not None
+        hit.pi.t = exact.dist
         there = dr.zeros(mi.SurfaceInteraction3f, dr.width(exact.dist))
         there.p, there.n, there.uv = exact.p, exact.n, exact.uv
         there.sh_frame = mi.Frame3f(exact.n)
-        there.shape, there.prim_index = data.owner(patch, ours)
+        there.shape, there.prim_index = hit.pi.shape, hit.pi.prim_index
         there.wi = there.to_local(-exact.d)
         there.wavelengths, there.time = si.wavelengths, si.time
         there.t = exact.dist
@@ -100,9 +130,6 @@ class EmitterSampling:
         value = dr.select(ours, dr.select(exact.pdf > 0, radiance * dr.rcp(exact.pdf), 0.0), value)
         pmf = self.scene.pdf_emitter(index, active)
         ds.pdf = ds.pdf * pmf
-        hit = Preliminary(dr.zeros(mi.PreliminaryIntersection3f), ours, patch)
-        hit.pi.t, hit.pi.prim_uv, hit.pi.shape = exact.dist, mi.Point2f(u, v), there.shape
-        hit.pi.prim_index, hit.pi.valid = there.prim_index, ours
         return ds, value * weight, dr.select(ours, p_err, 0.0), hit
 
     def pdf(self, ref: Any, ds: Any, si: Any, hit: Any, active: Any) -> Any:
@@ -133,8 +160,7 @@ class EmitterSampling:
         theirs = active & ~hit.bezier
         pdf = dr.select(theirs, original(self.scene, "pdf_emitter_direction")(ref, ds, theirs), 0.0)
         area = self.surfaces.pdf(light, hit.patch, hit.pi.prim_uv, ours)
-        cosine = dr.abs(dr.dot(ds.d, si.n))
-        exact = dr.select(cosine > 0, area * dr.square(ds.dist) / cosine, 0.0)
+        exact = per_solid_angle(area, ds, si.n)
         index = dr.gather(mi.UInt32, self.emitter_of, light, ours)
         return dr.select(ours, exact * self.scene.pdf_emitter(index, ours), pdf)
 
@@ -157,8 +183,7 @@ class EmitterSampling:
             return theirs(ref, ds, active)
         light, ours = self._light_of(ds.emitter, active)
         area = self.surfaces.pdf_at(light, ds.p, ds.n, ours)
-        cosine = dr.abs(dr.dot(ds.d, ds.n))
-        exact = dr.select(cosine > 0, area * dr.square(ds.dist) / cosine, 0.0)
+        exact = per_solid_angle(area, ds, ds.n)
         index = dr.gather(mi.UInt32, self.emitter_of, light, ours)
         exact = exact * self.scene.pdf_emitter(index, ours)
         other = active & ~ours
@@ -199,9 +224,7 @@ class EmitterSampling:
         light = dr.gather(mi.UInt32, self.of_emitter, index, active)
         ours = active & (light != _NONE)
         ps, weight = emitter.sample_position(time, sample, active & ~ours)
-        light = dr.select(ours, light, 0)
-        patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample), ours)
-        exact, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
+        exact, p_err, _hit = self._on_patches(light, sample, ours)
         exact.time = time
         inverse = dr.select(exact.pdf > 0, dr.rcp(exact.pdf), 0.0)
         p_err = dr.select(ours, p_err, own_error(ps.p))
@@ -227,14 +250,11 @@ class EmitterSampling:
 
         # as area lights do: a point by area, a direction by the cosine, whose density cancels
         light = dr.select(ours, light, 0)
-        patch, u, v, linear = self.surfaces.sample_parameters(light, mi.Point2f(sample2), ours)
-        ps, p_err = self.surfaces.position_and_error(patch, u, v, linear, ours)
+        ps, p_err, hit = self._on_patches(light, sample2, ours)
         si = dr.zeros(mi.SurfaceInteraction3f, dr.width(ps.pdf))
         si.p, si.n, si.uv, si.time = ps.p, ps.n, ps.uv, time
         si.sh_frame = mi.Frame3f(ps.n)
-        data = self.rays.data
-        assert data is not None
-        si.shape, si.prim_index = data.owner(patch, ours)
+        si.shape, si.prim_index = hit.pi.shape, hit.pi.prim_index
         si.wavelengths, radiance = emitter.sample_wavelengths(si, rest, ours)
         local = mi.warp.square_to_cosine_hemisphere(sample3)
         angle = mi.Float(dr.pi)

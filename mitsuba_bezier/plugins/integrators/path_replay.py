@@ -11,10 +11,10 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..interaction import Preliminary
 from ..native.originals import original
-from ..offsets import spawn_ray, spawn_ray_to
+from ..offsets import spawn_ray
 from ..scene import SceneRays
-from .emitters import EmitterSampling
-from .path_tracing import mis_weight, skip_emitters
+from .emitters import EmitterSampling, LightSample
+from .path_tracing import mis_weight, russian_roulette, skip_emitters
 
 __all__ = ["MissingDerivative", "replay"]
 
@@ -170,18 +170,14 @@ def _replay(
 
         # ---- a sample of the emitters
         smooth = active_next & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ds, em_weight, end_err, em_hit = emitters.sample_hit(
-            here, sampler.next_2d(active_next), smooth
-        )
-        smooth = smooth & (ds.pdf != 0.0)
-        shadow = spawn_ray_to(here, p_err, ds.p, ds.n, end_err)
-        smooth = smooth & ~rays.is_blocked(shadow, smooth)
+        light = emitters.sample_visible(here, p_err, sampler.next_2d(active_next), smooth)
+        ds = light.ds
         with dr.resume_grad():
-            em_weight, direction = _attached_emitter(rays, si, here, ds, em_weight, em_hit, smooth)
+            weight, direction = _attached_light(rays, si, here, light)
             wo = si.to_local(direction)
-            value, pdf = bsdf.eval_pdf(context, si, wo, smooth)
+            value, pdf = bsdf.eval_pdf(context, si, wo, light.lit)
             mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
-            direct = dr.select(smooth, throughput * value * em_weight * mis, 0.0)
+            direct = dr.select(light.lit, throughput * value * weight * mis, 0.0)
 
         # ---- the next ray: by the numbers and in the form of the primal pass
         _value, _pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
@@ -200,12 +196,10 @@ def _replay(
         valid = st["valid"] | (active & si.is_valid() & ~null)
         depth = dr.select(si.is_valid(), st["depth"] + 1, st["depth"])
 
-        strongest = dr.max(throughput)
-        survive = dr.minimum(strongest * dr.square(eta), 0.95)
-        roulette = depth >= rr_depth
-        goes_on = sampler.next_1d(active_next) < survive
-        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
-        active_next = active_next & (~roulette | goes_on) & (strongest != 0.0)
+        throughput, survives = russian_roulette(
+            sampler, throughput, eta, depth >= rr_depth, active_next
+        )
+        active_next = active_next & survives
 
         # ---- derivatives
         next_hit = rays.preliminary(next_ray, False, active_next)
@@ -268,15 +262,13 @@ def _relative(value: Any) -> Any:
     return dr.replace_grad(1.0, dr.select(value != 0, value / dr.detach(value), 1.0))
 
 
-def _attached_emitter(
-    rays: SceneRays, si: Any, here: Any, ds: Any, weight: Any, hit: Any, active: Any
-) -> tuple[Any, Any]:
+def _attached_light(rays: SceneRays, si: Any, here: Any, light: LightSample) -> tuple[Any, Any]:
     """Return weight and direction of an emitter sample, with derivatives.
 
     The sampled direction does not move with the emitter: where that moves, another point of it
     lies in this direction, which matters to a textured emitter. With the vertex `si` it does.
     """
-    scene = rays.scene
+    scene, ds, hit, active = rays.scene, light.ds, light.hit, light.lit
     flags = ds.emitter.flags()
     surface = active & mi.has_flag(flags, mi.EmitterFlags.Surface)
     infinite = mi.has_flag(flags, mi.EmitterFlags.Infinite)
@@ -302,6 +294,6 @@ def _attached_emitter(
     value += dr.select(theirs, scene.eval_emitter_direction(si, attached, theirs), 0.0)
 
     inverse = dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0.0)
-    weight = dr.replace_grad(weight, value * inverse)
+    weight = dr.replace_grad(light.weight, value * inverse)
     solid = _area_per_solid_angle(si.p, ds.p, ds.n, surface)
     return weight * _relative(solid), direction

@@ -8,11 +8,11 @@ import drjit as dr
 import mitsuba as mi
 
 from ..interaction import Preliminary
-from ..offsets import spawn_ray, spawn_ray_to
+from ..offsets import spawn_ray
 from ..scene import SceneRays
 from .emitters import EmitterSampling
 
-__all__ = ["mis_weight", "skip_emitters", "trace"]
+__all__ = ["mis_weight", "russian_roulette", "skip_emitters", "trace"]
 
 
 def mis_weight(pdf_a: Any, pdf_b: Any) -> Any:
@@ -23,6 +23,35 @@ def mis_weight(pdf_a: Any, pdf_b: Any) -> Any:
     """
     usable = (pdf_a > 0) & (pdf_a < dr.inf)
     return dr.detach(dr.select(usable, dr.rcp(1 + dr.square(pdf_b / pdf_a)), 0), True)
+
+
+def russian_roulette(
+    sampler: Any, throughput: Any, eta: Any, plays: Any, draws: Any
+) -> tuple[Any, Any]:
+    """End paths by chance where they carry little.
+
+    Parameters
+    ----------
+    sampler : mi.Sampler
+    throughput : Spectrum
+    eta : Float
+        Its square undoes the solid angle compression of refraction.
+    plays : Bool
+        Paths that are long enough.
+    draws : Bool
+        Paths that take a number, these among them.
+
+    Returns
+    -------
+    throughput : Spectrum
+    survives : Bool
+        Also of those that do not play, unless they carry nothing.
+    """
+    strongest = dr.max(mi.unpolarized_spectrum(throughput))
+    survive = dr.minimum(strongest * dr.square(eta), 0.95)
+    goes_on = sampler.next_1d(draws) < survive
+    throughput = dr.select(plays, throughput * dr.rcp(survive), throughput)
+    return throughput, (~plays | goes_on) & (strongest != 0.0)
 
 
 def skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
@@ -124,17 +153,15 @@ def trace(
 
         # ---- a sample of the emitters
         smooth = active_next & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ds, em_weight, end_err = emitters.sample(si, sampler.next_2d(active_next), smooth)
-        smooth = smooth & (ds.pdf != 0.0)
-        shadow = spawn_ray_to(si, p_err, ds.p, ds.n, end_err)
-        smooth = smooth & ~rays.is_blocked(shadow, smooth)
+        light = emitters.sample_visible(si, p_err, sampler.next_2d(active_next), smooth)
+        ds = light.ds
         wo = si.to_local(ds.d)
         value, pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
             context, si, wo, sampler.next_1d(active_next), sampler.next_2d(active_next), active_next
         )
         value = si.to_world_mueller(value, -wo, si.wi)
         mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
-        result = result + dr.select(smooth, st["throughput"] * value * em_weight * mis, 0.0)
+        result = result + dr.select(light.lit, st["throughput"] * value * light.weight * mis, 0.0)
 
         # ---- the next ray
         bsdf_weight = si.to_world_mueller(bsdf_weight, -sample.wo, si.wi)
@@ -145,13 +172,9 @@ def trace(
         valid = st["valid"] | (active & si.is_valid() & ~null)
         depth = dr.select(si.is_valid(), st["depth"] + 1, st["depth"])
 
-        # ---- Russian roulette; eta^2 undoes the solid angle compression of refraction
-        strongest = dr.max(mi.unpolarized_spectrum(throughput))
-        survive = dr.minimum(strongest * dr.square(eta), 0.95)
-        roulette = depth >= rr_depth
-        goes_on = sampler.next_1d(active_next) < survive
-        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
-        active_next = active_next & (~roulette | goes_on) & (strongest != 0.0)
+        throughput, survives = russian_roulette(
+            sampler, throughput, eta, depth >= rr_depth, active_next
+        )
 
         prev_si = dr.zeros(mi.Interaction3f)
         prev_si.p, prev_si.n, prev_si.time = si.p, si.n, si.time
@@ -164,7 +187,7 @@ def trace(
                 "eta": eta,
                 "depth": depth,
                 "valid": valid,
-                "active": active_next,
+                "active": active_next & survives,
                 "prev_si": prev_si,
                 "prev_pdf": sample.pdf,
                 "prev_delta": mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),

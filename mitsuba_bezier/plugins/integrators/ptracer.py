@@ -16,6 +16,7 @@ from ..offsets import own_error, spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .depths import check_depths
 from .emitters import EmitterSampling
+from .path_tracing import russian_roulette
 
 __all__ = ["make_ptracer_class"]
 
@@ -201,20 +202,17 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         )
         eta = st["eta"] * sample.eta
         depth = st["depth"] + 1
-        strongest = dr.max(mi.unpolarized_spectrum(throughput))
-        active = active & (strongest != 0) & (depth < longest)
-        # ---- Russian roulette; eta^2 undoes the solid angle compression of refraction
-        survive = dr.minimum(strongest * dr.square(eta), 0.95)
-        roulette = depth > roulette_from
-        goes_on = sampler.next_1d(active) < survive
-        throughput = dr.select(roulette, throughput * dr.rcp(survive), throughput)
+        active = active & (depth < longest)
+        throughput, survives = russian_roulette(
+            sampler, throughput, eta, depth > roulette_from, active
+        )
         return (
             {
                 "ray": spawn_ray(si, p_err, onward),
                 "throughput": throughput,
                 "eta": eta,
                 "depth": depth,
-                "active": active & (~roulette | goes_on),
+                "active": active & survives,
                 "sampler": sampler,
             },
         )

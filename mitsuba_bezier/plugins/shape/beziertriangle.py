@@ -5,41 +5,31 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ... import _runtime
 from ...errors import BezierError, NetError
-from ...geometry.boxes import surface_boxes
-from ...geometry.proper_nets import free_of_factor, spans_area
-from ...geometry.surface_area import surface_area
+from ...geometry.proper_nets import spans_area
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
-from ..copies import copy_boxes, read_copies
-from ..interaction import Preliminary
+from ..copies import read_copies
 from ..native.sensors import watch
 from ..projections import read_projection
 from ..section import read_section
-from ..surface_sampling import direction_sample
 from .attributes import check_attribute, check_texcoords, is_attribute, make_attribute_class
 from .mesh_base import make_mesh_base
 from .parameters import read_affine, read_patches, read_tables
-from .silhouette_methods import METHODS
+from .query_methods import METHODS as QUERIES
+from .silhouette_methods import METHODS as SILHOUETTES
+from .state import PatchState, finite_bounds
 
 __all__ = ["make_shape_class"]
 
-#: Powers of two, either way, up to which factors of nets do no harm in float32: what is computed of
-#: them has products of three.
-_MODERATE = 24
-#: Relative rounding of float32, and some more: numbers that lose more have left its range.
-_DIGITS = 2.0**-20
-#: Numbers of a box are at most this: Mitsuba squares its size in float32.
-_FAR = 1e18
 _versions = itertools.count(1)
 
 
-class _State:
+class _Counts:
     """Numbers that change with a shape, where frozen functions do not see them; see `frozen`."""
 
     version = 0
@@ -129,15 +119,12 @@ def make_shape_class() -> type:
 
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
-            #: Trims of the patches, or None.
-            self.trims: Trims | None
-            patches, self.trims = read_patches(props)
-            self._object_to_world = read_affine(props.get("to_world", mi.ScalarTransform4f()))
+            patches, trims = read_patches(props)
+            matrix = read_affine(props.get("to_world", mi.ScalarTransform4f()))
             flip = props.get("flip_normals", False)
             if not isinstance(flip, bool):
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
-            #: Maps (N, 4, 4) of the copies, or None.
-            self.copies = read_copies(props)
+            copies = read_copies(props)
             #: The plane that cuts it, the number of its body, and whether it is that body's cap.
             self.section, self.body, self.cap = read_section(props)
             #: Name of the projection that texture coordinates come from, or None.
@@ -158,75 +145,81 @@ def make_shape_class() -> type:
                     "one that sits on a surface, as area does",
                     f"{emitter.class_name()}; put it beside the shape",
                 )
-            if emitter is not None and self.copies is not None:
+            if emitter is not None and copies is not None:
                 raise BezierError.expected("emitter", "none on a shape with copies", "one")
             if self.sensor() is not None:
-                if self.copies is not None:
+                if copies is not None:
                     raise BezierError.expected("sensor", "none on a shape with copies", "one")
                 watch(self.sensor(), "irradiancemeter", self)
-            self._flip = flip
             self._need_area(patches)
-            #: What `control_points` holds, in float32.
-            self._exposed = representable(patches.control_points)
-            self.control_points = _tensor(self._exposed)
-            self.to_world = mi.Transform4f(mi.Matrix4f(self._object_to_world.tolist()))
-            self._object = patches
+            #: The patches and what follows from them.
+            self.state = PatchState(patches, matrix, flip, trims, copies)
+            self.control_points = _tensor(self.state.exposed)
+            self.to_world = mi.Transform4f(mi.Matrix4f(matrix.tolist()))
             #: Texture coordinates at the corners (P, 3, 2), or None.
             self.texture_corners = texcoords
             self.texcoords = None if texcoords is None else _tensor(texcoords)
             self._attributes: dict[str, Any] = {}
             #: Patches and leaves of the last structure, for the next, once there were updates.
             self.kept_leaves: tuple[BezierTriangles, Any] | None = None
-            self._state = _State()
+            self._counts = _Counts()
             self.serial = next(_versions)
             #: The variant in which it can be used.
             self.variant = mi.variant()
             #: Degree elevations on the device, by their degrees; see `attached`.
             self.elevations: dict[str, Any] = {}
             self._keep_apart()
-            self._commit(patches, self._object_to_world)
+            self._commit()
             for name, ordinates in attributes.items():
                 self._add(name, ordinates)
 
         @property
         def version(self) -> int:
             """A number that no other state of any shape has."""
-            return self._state.version
+            return self._counts.version
 
         @property
         def updates(self) -> int:
             """How often the shape was changed."""
-            return self._state.updates
+            return self._counts.updates
 
-        def _commit(self, patches: BezierTriangles, matrix: np.ndarray) -> None:
-            """Take over a new valid state."""
-            world = _free(patches).transform(matrix)
-            self._object, self._object_to_world, self.patches = patches, matrix, world
-            mirrored = np.linalg.det(matrix[:3, :3]) < 0
-            #: Sign of the normal along dp_du x dp_dv: a mirror image keeps its outside out.
-            self.orientation = -1.0 if mirrored != self._flip else 1.0
-            box = finite_bounds(world)
-            if self.copies is not None:
-                #: Boxes (N, 2, 3) of the copies.
-                self.copy_boxes = copy_boxes(world, self.copies)
-                box = np.stack(
-                    [self.copy_boxes[:, 0].min(axis=0), self.copy_boxes[:, 1].max(axis=0)]
-                )
-            self._state.version = next(_versions)
+        def _commit(self) -> None:
+            """Begin with a new state."""
+            self._counts.version = next(_versions)
             #: Arrays of the structures that this state is a part of; see `frozen`.
             self.device_arrays: dict[str, dict[str, Any]] = {}
-            self._state.updates += 1
-            self._set_box(box)
+            self._counts.updates += 1
+            self._set_box(self.state.box)
 
         @property
-        def object_to_world(self) -> np.ndarray:
-            """The matrix ``(4, 4)`` of ``to_world``, in float64."""
-            return self._object_to_world
+        def patches(self) -> BezierTriangles:
+            """The patches in space."""
+            return self.state.patches
 
         @property
         def object_patches(self) -> BezierTriangles:
             """The patches before ``to_world``."""
-            return self._object
+            return self.state.object_patches
+
+        @property
+        def object_to_world(self) -> np.ndarray:
+            """The matrix ``(4, 4)`` of ``to_world``, in float64."""
+            return self.state.object_to_world
+
+        @property
+        def orientation(self) -> float:
+            """Sign of the normal along dp_du x dp_dv."""
+            return self.state.orientation
+
+        @property
+        def trims(self) -> Trims | None:
+            """Trims of the patches, or None."""
+            return self.state.trims
+
+        @property
+        def copies(self) -> np.ndarray | None:
+            """Maps ``(N, 4, 4)`` of the copies, or None."""
+            return self.state.instances
 
         def _need_parameters(self, name: str) -> None:
             """Refuse an attribute that is found by what `uv` replaces."""
@@ -271,17 +264,9 @@ def make_shape_class() -> type:
             tensor = self.control_points
             values = np.array(tensor, dtype=np.float64).reshape(tensor.shape)
             try:
-                # float64 values from a file or a builder stay, as long as nobody changed them
-                same = np.array_equal(values.astype(np.float32), self._exposed)
-                patches = self._object if same else BezierTriangles(values)
+                patches, matrix, exposed = self.state.changed(values, read_affine(self.to_world))
                 self._need_area(patches)
-                matrix, count = read_affine(self.to_world), len(patches)
-                if np.array_equal(matrix, self._object_to_world.astype(np.float32)):
-                    matrix = self._object_to_world
-                if self.trims is not None and count != len(self.trims):
-                    raise NetError.expected(
-                        "control_points", f"{len(self.trims)} patches, as the trims have", count
-                    )
+                count = len(patches)
                 corners = self.texture_corners
                 if self.texcoords is not None:
                     corners = check_texcoords(self.texcoords, count)
@@ -297,14 +282,15 @@ def make_shape_class() -> type:
             for name, (values, texture) in self._attributes.items():
                 texture.set(ordinates[name], values.array)
             self.texture_corners = corners
-            self._exposed = self._exposed if same else values.astype(np.float32)
+            self.state.exposed = exposed
             if not keys or own & set(keys):
-                self._commit(patches, matrix)
+                self.state.place(patches, matrix)
+                self._commit()
 
         def _restore(self) -> None:
             """Give all parameters their last valid values, in the objects that users hold."""
-            matrix = mi.Matrix4f(self._object_to_world.tolist())
-            mi.set_property(self.control_points, _tensor(self._exposed))
+            matrix = mi.Matrix4f(self.state.object_to_world.tolist())
+            mi.set_property(self.control_points, _tensor(self.state.exposed))
             mi.set_property(self.to_world, mi.Transform4f(matrix))
             if self.texture_corners is not None:
                 mi.set_property(self.texcoords, _tensor(self.texture_corners))
@@ -339,38 +325,6 @@ def make_shape_class() -> type:
             if clip is not None:
                 box.clip(clip)
             return box
-
-        def eval_parameterization(self, uv: Any, flags: Any = None, active: Any = True) -> Any:
-            """Return the interaction at parameters of the patch.
-
-            Raises
-            ------
-            BezierError
-                If the shape has several patches, or texture coordinates of its own: the same
-                coordinates may be anywhere then, or nowhere.
-            """
-            placed = self.texture_corners is not None or self.projection is not None
-            if len(self.patches) > 1 or placed:
-                raise BezierError.expected(
-                    "eval_parameterization",
-                    "a shape of one patch without texcoords and uv (elsewhere evaluate "
-                    "`shape.patches`)",
-                    f"{len(self.patches)} patches"
-                    + (" with texcoords" if self.texture_corners is not None else "")
-                    + (" with uv" if self.projection is not None else ""),
-                )
-            flags = mi.RayFlags.All if flags is None else flags
-            uv, active = mi.Point2f(uv), mi.Bool(active)
-            inside = active & (uv.x >= 0) & (uv.y >= 0) & (uv.x + uv.y <= 1)
-            pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(uv))
-            pi.t, pi.prim_uv, pi.valid = mi.Float(0.0), uv, inside
-            pi.shape = mi.ShapePtr(self)
-            hit = Preliminary(pi, inside, mi.UInt32(0))
-            ray = dr.zeros(mi.Ray3f, dr.width(uv))
-            ray.o = mi.Point3f(dr.largest(mi.Float))  # no ray tells the point better than the patch
-            si = self._alone().surface_interaction(hit, ray, flags, inside)
-            si.t = dr.select(inside, 0.0, dr.inf)
-            return si
 
         def write_ply(self, filename: Any) -> None:
             """Write triangles to a file, within a thousandth of the shape's size."""
@@ -432,113 +386,16 @@ def make_shape_class() -> type:
 
             It is infinite for a surface that runs to infinity.
             """
-            if self.copies is None:
-                return mi.Float(surface_area(self.patches, self.trims))
-            # rigid copies of one size have one area
-            linear = self.copies[:, :3, :3]
-            forms = np.einsum("nki,nkj->nij", linear, linear).reshape(-1, 9)
-            _forms, first, count = np.unique(
-                np.round(forms, 12), axis=0, return_index=True, return_counts=True
-            )
-            areas = [
-                surface_area(self.patches.transform(m), self.trims) for m in self.copies[first]
-            ]
-            return mi.Float(float(np.dot(areas, count)))
-
-        def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
-            """Sample the surface nearly by area; return `mi.PositionSample3f`."""
-            return self.sample_point(time, sample, active)[0]
-
-        def sample_point(self, time: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
-            """Return what `sample_position` does, and the error of the point along the normal."""
-            sampling, active = self._alone().surface_sampling((0,)), mi.Bool(active)
-            place = sampling.sample_parameters(mi.UInt32(0), mi.Point2f(sample), active)
-            ps, p_err = sampling.position_and_error(*place, active)
-            ps.time = time
-            return ps, p_err
-
-        def pdf_position(self, ps: Any, active: Any = True) -> Any:
-            """Return the density of `sample_position`; reads ``ps.p`` and ``ps.n``."""
-            sampling = self._alone().surface_sampling((0,))
-            return sampling.pdf_at(mi.UInt32(0), ps.p, ps.n, active)
-
-        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            """Sample a direction towards the surface; return `mi.DirectionSample3f`."""
-            return direction_sample(self.sample_position(it.time, sample, active), it)
-
-        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            """Return the density of `sample_direction` by solid angle."""
-            cosine = dr.abs(dr.dot(ds.d, ds.n))
-            pdf = self.pdf_position(ds, active) * dr.square(ds.dist) / cosine
-            return dr.select(cosine > 0, pdf, 0.0)
+            return mi.Float(self.state.area())
 
         def _alone(self) -> Any:
             from ..scene_data import data_for_shapes
 
             return data_for_shapes([self])
 
-        def ray_intersect_preliminary(self, ray: Any, active: Any = True) -> Any:
-            """Return the nearest hit as `mi.PreliminaryIntersection3f`."""
-            data = self._alone()
-            data.handed_out = True
-            return data.preliminary(ray, active).pi
-
-        def ray_intersect(self, ray: Any, flags: Any = None, active: Any = True) -> Any:
-            """Return the nearest hit as `mi.SurfaceInteraction3f`."""
-            data = self._alone()
-            hit = data.preliminary(ray, active)
-            flags = mi.RayFlags.All if flags is None else flags
-            return data.surface_interaction(hit, ray, flags, active)
-
-        def compute_surface_interaction(
-            self, ray: Any, pi: Any, flags: Any = None, active: Any = True
-        ) -> Any:
-            """Return the `mi.SurfaceInteraction3f` of what `ray_intersect_preliminary` found."""
-            flags = mi.RayFlags.All if flags is None else flags
-            hit = Preliminary(pi, pi.is_valid(), pi.prim_index)
-            return self._alone().surface_interaction(hit, ray, flags, active)
-
-        def ray_test(self, ray: Any, active: Any = True) -> Any:
-            """Return whether the ray hits."""
-            return self._alone().test(ray, active)
-
-    for method in METHODS:
+    for method in (*QUERIES, *SILHOUETTES):
         setattr(BezierTriangle, method.__name__, method)
     return BezierTriangle
-
-
-def finite_bounds(patches: BezierTriangles) -> np.ndarray:
-    """Return one box ``(2, 3)``, of the finite control points where patches run to infinity.
-
-    Patches that are no surface only count if there are no others.
-    """
-    seen = spans_area(patches.control_points)
-    if seen.any() and not seen.all():
-        patches = patches[seen]
-    box = surface_boxes(patches.control_points, together=True)[0]
-    if not np.isfinite(box).all():
-        net = patches.control_points.reshape(-1, 4)
-        net = net[net[:, 3] != 0]
-        points = net[:, :3] / net[:, 3:] if len(net) else np.array([[-1.0] * 3, [1.0] * 3])
-        box = np.where(np.isfinite(box), box, [points.min(axis=0), points.max(axis=0)])
-    return np.clip(box, -_FAR, _FAR)
-
-
-def _free(patches: BezierTriangles) -> BezierTriangles:
-    """Return patches whose nets have no factors that float32 could not bear."""
-    nets = free_of_factor(patches.control_points, _MODERATE)
-    return patches if nets is patches.control_points else BezierTriangles(nets)
-
-
-def representable(nets: np.ndarray) -> np.ndarray:
-    """Return nets in float32, those freed of their factor whose digits would be lost with it."""
-    with np.errstate(over="ignore", under="ignore"):
-        rounded = nets.astype(np.float32)
-        off = np.abs(rounded - nets).max(axis=(1, 2))
-    lost = ~(off <= _DIGITS * np.abs(nets).max(axis=(1, 2)))
-    if lost.any():
-        rounded[lost] = free_of_factor(nets[lost])
-    return rounded
 
 
 def _tensor(values: np.ndarray) -> Any:

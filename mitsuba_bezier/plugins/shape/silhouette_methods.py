@@ -26,9 +26,7 @@ _NEWTON = 8
 def _lines(shape: Any) -> BoundaryLines:
     """Return the lines that touch a shape, made once for its present state."""
     data = shape._alone()
-    if getattr(shape, "_boundary_lines", (None, None))[0] is not data:
-        shape._boundary_lines = (data, BoundaryLines(data, [0]))
-    return shape._boundary_lines[1]
+    return data.made_once("boundary lines", lambda: BoundaryLines(data, [0]))
 
 
 def _sample(shape: Any, line: Any, flags: int) -> Any:
@@ -92,6 +90,20 @@ def invert_silhouette_sample(shape: Any, ss: Any, active: Any = True) -> Any:
     return lines.invert(ss, is_edge, both, mi.Bool(active))
 
 
+def _curves(shape: Any, eye: np.ndarray, again: bool = False) -> SilhouetteCurves:
+    """Return the silhouettes seen from a point; those of the last point if it is the same."""
+    data = shape._alone()
+
+    def make() -> tuple[np.ndarray, SilhouetteCurves]:
+        return eye, SilhouetteCurves(data, [0], eye)
+
+    seen_from, curves = data.made_once("silhouettes", make, again)
+    # 1e-5: the caller's point went through float32 and a transformation
+    if np.abs(seen_from - eye).max() > 1e-5 * (1 + np.abs(eye).max()):
+        return _curves(shape, eye, again=True)
+    return curves
+
+
 def precompute_silhouette(shape: Any, viewpoint: Any) -> tuple[Any, Any]:
     """Return the segments of the silhouettes seen from a point, and their lengths in space.
 
@@ -102,8 +114,7 @@ def precompute_silhouette(shape: Any, viewpoint: Any) -> tuple[Any, Any]:
     weights : Float
     """
     eye = np.array(viewpoint, dtype=np.float64).reshape(3)
-    curves = SilhouetteCurves(shape._alone(), [0], eye)
-    shape._curves = (eye, curves)
+    curves = _curves(shape, eye, again=True)
     a, b = curves.ends()
     return dr.arange(mi.UInt32, max(1, len(curves))), mi.Float(
         np.linalg.norm(b - a, axis=1).astype(np.float32) if len(curves) else np.zeros(1, np.float32)
@@ -131,13 +142,8 @@ def sample_precomputed_silhouette(
     mi.SilhouetteSample3f
     """
     kinds = mi.DiscontinuityFlags
-    eye, curves = getattr(shape, "_curves", (None, None))
     here = np.array(dr.slice(mi.Point3f(viewpoint), 0), dtype=np.float64).reshape(3)
-    # 1e-5: the caller's point went through float32 and a transformation
-    if eye is None or np.abs(eye - here).max() > 1e-5 * (1 + np.abs(here).max()):
-        precompute_silhouette(shape, here)
-        eye, curves = shape._curves
-    assert curves is not None
+    curves = _curves(shape, here)
     active = mi.Bool(active) & (len(curves) > 0)
     point = curves.point(mi.UInt32(sample1), mi.Float(sample2), active)
     length = dr.norm(point.tangent)

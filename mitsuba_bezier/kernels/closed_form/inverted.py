@@ -1,8 +1,4 @@
-"""Find parameters of points of patches on quadrics by Newton's method in the plane.
-
-Those of a hit on a patch that is bounded by plane sections of its quadric, and those that tell
-whether a point of the quadric is on a patch at all.
-"""
+"""Find out by its parameters whether a point of a quadric is on a patch."""
 
 from __future__ import annotations
 
@@ -10,20 +6,16 @@ from typing import Any
 
 import drjit as dr
 
-from ...geometry import bernstein
 from ...leaves.closed_form import newton as plane_inverse
-from ..arrays import Types, dot3, gather_packets, reciprocal
+from ..arrays import dot3, reciprocal
 from ..net import horner, horner_value
 from ..quadric_records import INVERSE
-from ..structure import Structure
+from ..query import Query
+from .polynomials import equations_of, newton_step
 
-__all__ = ["inverted_parameters", "section_parameters", "shared_rows"]
+__all__ = ["inverted_parameters"]
 
-#: Newton's method ends after a step below this: the error is then its square.
-LAST_STEP = 1e-4
-#: ... or after so many steps; patches that the builder accepts need at most eight.
-MAX_STEPS = 12
-#: ... or sixteen, next to a pole, where it tells whether a point is on a patch.
+#: Newton's method ends after this many steps; next to a pole the builder accepts up to sixteen.
 MOST_STEPS = 24
 #: Where the map is singular no step is small; there it ends at an error in the plane that is
 #: rounding: of coordinates near one, and of sums of a dozen terms.
@@ -33,49 +25,8 @@ AT_HAND = 5e-7
 SIDE = 1e-6
 
 
-def section_parameters(
-    s: Structure, ty: Types, leaf: Any, x: Any, y: Any, active: Any
-) -> tuple[Any, Any]:
-    """Return the parameters at which ``P / Q`` is ``x + i y``, less the middle ``(1 + i) / 2``.
-
-    With the complex polynomials of `leaves.closed_form.plane_sections`, ``P - (x + i y) Q = 0``
-    are two real equations of the degree of `P` and `Q`, which is at most half of the patch's.
-    """
-    # the coefficients are small from the middle on, so are their roundings
-    equations, degree = _equations(s, leaf, x - 0.5, y - 0.5, active)
-
-    def body(run: Any, step: Any, u: Any, v: Any) -> Any:
-        du, dv, _det = _newton(*horner(equations, degree, u, v))
-        size = dr.maximum(dr.abs(du), dr.abs(dv))
-        usable = size < 1.0  # false for NaN
-        u, v = dr.select(usable, u + du, u), dr.select(usable, v + dv, v)
-        step = step + 1
-        run = run & usable & (size > LAST_STEP) & (step < MAX_STEPS)
-        return run, step, u, v
-
-    # the first step, from the middle, where all powers are zero
-    rows = (bernstein.row(degree, *powers) for powers in ((0, 0), (1, 0), (0, 1)))
-    u, v, _det = _newton(*(equations[2 * k : 2 * k + 2] for k in rows))
-    _run, _step, u, v = dr.while_loop(
-        (active, ty.UInt(1), u, v),
-        cond=lambda *st: st[0],
-        body=body,
-        labels=("run", "step", "u", "v"),
-        label="bezier section",
-    )
-    return dr.select(active, u + 1 / 3, x), dr.select(active, v + 1 / 3, y)
-
-
-def _newton(value: list[Any], by_u: list[Any], by_v: list[Any]) -> tuple[Any, Any, Any]:
-    """Return the step to where the linear parts of two equations vanish, and the determinant."""
-    (f, g), (fu, gu), (fv, gv) = value, by_u, by_v
-    det = dr.fma(fu, gv, -fv * gu)
-    inv = reciprocal(det)
-    return dr.fma(fv, g, -gv * f) * inv, dr.fma(gu, f, -fu * g) * inv, det
-
-
 def inverted_parameters(
-    s: Structure, ty: Types, leaf: Any, p: list[Any], tolerance: Any, active: Any
+    query: Query, leaf: Any, p: list[Any], tolerance: Any, active: Any
 ) -> tuple[Any, Any, Any]:
     """Find out whether a point of a quadric is on a patch; see `leaves.closed_form.inverted`.
 
@@ -91,11 +42,12 @@ def inverted_parameters(
     inside : Bool
     u, v : Float
     """
+    s, ty = query.s, query.ty
     m = INVERSE.gather(s.inverses, dr.select(active, leaf - s.first_group, 0), active)
     x, y, rest, side = (ty.Float(dot3(row, p) + row[3]) for row in (*m.rows, m.fourth))
     scale = reciprocal(x + y + rest)
     a, b = dr.fma(x, scale, -0.5), dr.fma(y, scale, -0.5)
-    equations, degree = _equations(s, leaf, a, b, active)
+    equations, degree = equations_of(s, leaf, a, b, active)
 
     start = [dr.maximum(plane_inverse.LEAST_START, z) for z in (a + 0.5, b + 0.5, -a - b)]
     scale = reciprocal(start[0] + start[1] + start[2])
@@ -114,7 +66,7 @@ def inverted_parameters(
         by_both: Any,
     ) -> Any:
         (f, g), (fu, gu), (fv, gv) = evaluated = horner(equations, degree, u, v)
-        du, dv, det = _newton(*evaluated)
+        du, dv, det = newton_step(*evaluated)
         size = dr.maximum(dr.abs(du), dr.abs(dv))
         # what parameters change in the plane
         by_u, by_v = dr.abs(fu) + dr.abs(gu), dr.abs(fv) + dr.abs(gv)
@@ -163,25 +115,3 @@ def inverted_parameters(
     f, g = horner_value(equations, degree, u - 1 / 3, v - 1 / 3)
     inside = active & (dr.maximum(dr.abs(f), dr.abs(g)) <= tolerance) & (side >= -SIDE)
     return inside, u, v
-
-
-def _equations(s: Structure, leaf: Any, a: Any, b: Any, active: Any) -> tuple[list[Any], int]:
-    """Return the coefficients of the real and imaginary part of ``P - (a + i b) Q``."""
-    degree = s.polynomial_degree
-    net = (
-        s.shared_section[len(shared_rows(s)) * 4 :]
-        if s.shared_section
-        else gather_packets(s.polynomials, leaf - s.first_group, bernstein.size(degree) * 4, active)
-    )
-    equations: list[Any] = []
-    for k in range(bernstein.size(degree)):
-        p_re, p_im, q_re, q_im = net[4 * k : 4 * k + 4]
-        equations.append(dr.fma(-a, q_re, dr.fma(b, q_im, p_re)))
-        equations.append(dr.fma(-a, q_im, dr.fma(-b, q_re, p_im)))
-    return equations, degree
-
-
-def shared_rows(s: Structure) -> list[list[Any]]:
-    """Return the rows of `Structure.shared_section`."""
-    assert s.shared_section is not None
-    return [s.shared_section[4 * r : 4 * r + 4] for r in range(3)]
