@@ -32,8 +32,8 @@ from mitsuba_bezier._files import write_file
 from mitsuba_bezier.geometry.tensor import revolved, tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.kernels.arrays import types_of, upload
-from mitsuba_bezier.kernels.batch import query
 from mitsuba_bezier.kernels.structure import build_structure
+from mitsuba_bezier.kernels.wavefront import query
 from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.records import LeafSettings
 

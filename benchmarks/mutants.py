@@ -129,14 +129,14 @@ MUTANTS = (
         "kernels/graph/chart.py",
         "certain = certain & (dr.abs(first) > remainder) & (dr.abs(last) > remainder)",
         "certain = certain & (dr.abs(first) > 0.0) & (dr.abs(last) > 0.0)",
-        ("kernels/test_decided.py",),
+        ("kernels/test_certain_hits.py",),
     ),
     Mutant(
         "sure beyond the leaf",
         "kernels/graph/chart.py",
         "cut = (inward[k] - f0) * inverse",
         "cut = (-inward[k] - f0) * inverse",
-        ("kernels/test_decided.py",),
+        ("kernels/test_certain_hits.py",),
     ),
     Mutant(
         "grazing hits stay rough",
@@ -153,11 +153,11 @@ MUTANTS = (
         ("kernels/test_kernel_nodes.py::test_no_box_is_missed",),
     ),
     Mutant(
-        "copies are entered in the middle",
-        "kernels/copies.py",
+        "instances are entered in the middle",
+        "kernels/instances.py",
         "start = dr.maximum(ahead - m.radius * inv_length, 0.0)",
         "start = dr.maximum(ahead, 0.0)",
-        ("plugins/test_copies.py::test_copies_are_what_as_many_shapes_are",),
+        ("plugins/test_instances.py::test_instances_are_what_as_many_shapes_are",),
     ),
     Mutant(
         "trims count both ends",
@@ -202,11 +202,11 @@ MUTANTS = (
         ("leaves/test_leaves_tree.py::test_trees_are_shallow",),
     ),
     Mutant(
-        "copies forget their nearest hit",
-        "kernels/copies.py",
+        "instances forget their nearest hit",
+        "kernels/instances.py",
         "[dot3(row, d) for row in m.rows], nearest.t - start)",
         "[dot3(row, d) for row in m.rows], nearest.t)",
-        ("plugins/test_copies.py::test_copies_are_what_as_many_shapes_are",),
+        ("plugins/test_instances.py::test_instances_are_what_as_many_shapes_are",),
     ),
 )
 

@@ -30,10 +30,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from cuda_standin.standin import KNOWN, StandIn, reason_without
 
 TARGETS = ("sm_75", "sm_86", "sm_90")
-#: `cuda_standin.cases`: all surfaces, and copies.
+#: `cuda_standin.cases`: all surfaces, and instances.
 CASES = (
     *("tetrahedral", "octants", "capped cone", "inverted", "general", "torus", "infinity"),
-    *("several kinds", "trims", "copies"),
+    *("several kinds", "trims", "instances"),
 )
 #: Version of the driver that Dr.Jit is told: its PTX must not be newer than the assembler.
 DRIVER = 12090

@@ -11,7 +11,7 @@ from common import Options, camera_rays, random_rays, time_in_turns
 from speed_report import Section, short
 from speed_surfaces import bezier
 
-from mitsuba_bezier.kernels import batch, traverse
+from mitsuba_bezier.kernels import traverse, wavefront
 from mitsuba_bezier.kernels.arrays import types_of, upload
 
 __all__ = ["measure", "sections"]
@@ -42,8 +42,8 @@ def measure(options: Options) -> list[dict[str, Any]]:
             row: dict[str, Any] = {
                 "rays": kind,
                 "surface": name,
-                "apart": batch._distance(structure, ty, *columns),
-                "chosen": batch.is_worthwhile(structure, *columns),
+                "apart": wavefront._distance(structure, ty, *columns),
+                "chosen": wavefront.is_worthwhile(structure, *columns),
             }
             for query, any_hit in (("closest", False), ("any", True)):
                 tasks = {
@@ -53,7 +53,7 @@ def measure(options: Options) -> list[dict[str, Any]]:
                     )
                     for way, run in (
                         ("each", traverse.intersect),
-                        ("batch", batch.intersect_batch),
+                        ("batch", wavefront.intersect_wavefront),
                     )
                 }
                 times = time_in_turns(tasks, options.runs)

@@ -40,7 +40,7 @@ class Clock:
 def _timed_tree() -> Iterator[dict[str, float]]:
     """Add up what the trees take while structures are built."""
     spent = {"wall": 0.0, "cpu": 0.0}
-    build = nodes_module.build_tree
+    build = nodes_module.build_bvh
 
     def timed(*args: Any, **kwargs: Any) -> Any:
         clock = Clock()
@@ -49,11 +49,11 @@ def _timed_tree() -> Iterator[dict[str, float]]:
             spent[key] += value
         return result
 
-    nodes_module.build_tree = timed
+    nodes_module.build_bvh = timed
     try:
         yield spent
     finally:
-        nodes_module.build_tree = build
+        nodes_module.build_bvh = build
 
 
 def net_bytes(structure: Structure) -> int:

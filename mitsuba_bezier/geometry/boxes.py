@@ -225,7 +225,7 @@ def instance_boxes(nets: np.ndarray, matrices: np.ndarray) -> np.ndarray:
         If the patches run to infinity.
     """
     if reaches_infinity(nets).any():
-        raise BezierError.expected("copies", "patches of finite size", "points at infinity")
+        raise BezierError.expected("instances", "patches of finite size", "points at infinity")
     net = finite_parts(nets)[0].reshape(-1, 4)
     net = net[net[:, 3] != 0]  # zero vectors are no points
     points = net[:, :3] / net[:, 3:]

@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import BezierError
-from ..leaves.bvh import NO_LEAF, Tree, build_tree
+from ..leaves.bvh import NO_LEAF, Bvh, build_bvh
 from .arrays import Types, upload
 from .records import Record, bits
 
@@ -39,7 +39,7 @@ __all__ = [
 NODE = Record(np.float32, origin=(3,), children=bits((4,)), units=bits())
 FACE, TURN, AXIS = (18, 13, 8), 15, 23
 #: The bits of a face are left where they are, as those of the mantissa of a float, 1 + k / SCALE
-#: for the face k. The origin is stored less so many units.
+#: for the face k. The origin is stored less this many units.
 SCALE = tuple(1 << (23 - bit) for bit in FACE)
 #: The first bits of the nibbles in a record's last word.
 INNER, LEAF = 24, 28
@@ -89,7 +89,7 @@ def build_nodes(
     first = 0
     for number in range(int(owner.max(initial=0)) + 1 if owners is None else owners):
         mine = np.flatnonzero(owner == number)
-        tree = build_tree(padded[mine])
+        tree = build_bvh(padded[mine])
         record = _records(tree, unbounded)
         if len(record) > _MOST_NODES:
             raise BezierError.expected(
@@ -127,7 +127,7 @@ def _level(number: Any) -> Any:
     return np.maximum(np.frexp(number)[1] - 1, 0)
 
 
-def _records(tree: Tree, unbounded: bool) -> np.ndarray:
+def _records(tree: Bvh, unbounded: bool) -> np.ndarray:
     """Return the records of the nodes up to the last one."""
     inner = tree.inner[_level(tree.inner) % 2 == 0]
     # without an inner node there is one leaf, which needs none, or a root without children
@@ -177,7 +177,7 @@ def _turned(words: np.ndarray) -> np.ndarray:
     return (words >> np.uint32(TURN)) | (words << np.uint32(32 - TURN))
 
 
-def _children(tree: Tree, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _children(tree: Bvh, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the boxes ``(I, 4, 2, 3)`` of children and which ``(I, 4)`` are leaves and nodes.
 
     A leaf that is an only child has a copy of its box beside it.

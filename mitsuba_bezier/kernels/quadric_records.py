@@ -55,7 +55,7 @@ CELLS = Record(np.float32, scale=(3,), unused=(5,), members=bits((256,)))
 #: this of how far the group reaches, by rounding: of four float32 numbers of that size. Where the
 #: group is thin, as in the direction of a plane's normal, that is more than the first; there a cell
 #: is eight times as large.
-_AROUND, _OFF = 0.05, 5e-7
+_CELL_MARGIN, _CELL_ROUNDING = 0.05, 5e-7
 
 
 def ranges(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -184,9 +184,9 @@ def cell_records(leaves: ClosedFormLeaves, sides: np.ndarray, groups: np.ndarray
     for number, g in enumerate(large):
         mine = slice(first[g], first[g] + size[g])
         reach = _reach(box[mine])
-        off = _OFF * np.linalg.norm(reach)
-        cell = np.maximum(reach * (1 + _AROUND / 4) + off, 32 * off) / 4
-        half = cell * (0.5 + _AROUND) + off
+        off = _CELL_ROUNDING * np.linalg.norm(reach)
+        cell = np.maximum(reach * (1 + _CELL_MARGIN / 4) + off, 32 * off) / 4
+        half = cell * (0.5 + _CELL_MARGIN) + off
         centre = place * cell
         may = (centre + half >= box[mine, None, 0]) & (centre - half <= box[mine, None, 1])
         may = may.all(axis=2)

@@ -1,4 +1,4 @@
-"""A binary tree of axis-aligned boxes whose nodes are numbered as in a heap.
+"""Build a bounding volume hierarchy (BVH): a binary tree of boxes, numbered as in a heap.
 
 The root is node 1, the children of node ``k`` are ``2 k`` and ``2 k + 1``, so parents and siblings
 need no pointers and a traversal needs no stack (Binder and Keller, "Efficient Stackless Hierarchy
@@ -13,20 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["NO_LEAF", "Tree", "build_tree"]
+__all__ = ["NO_LEAF", "Bvh", "build_bvh"]
 
-#: Value of `Tree.leaf` in nodes that are no leaves.
+#: Value of `Bvh.leaf` in nodes that are no leaves.
 NO_LEAF = 0xFFFFFFFF
 
 _BINS = 16
 
-#: A tree has room for at least so many times its leaves: with less, the heuristic would have little
-#: choice where to cut; with more, most of the room would stay empty.
-_ROOM = 1.25
+#: A BVH has room for at least this many times its leaves: with less, the heuristic would have
+#: little choice where to cut; with more, most of the room would stay empty.
+_ROOM_PER_LEAF = 1.25
 
 
 @dataclass
-class Tree:
+class Bvh:
     """The nodes by number; most numbers may be unused."""
 
     bounds: np.ndarray  #: (K, 2, 3) boxes of the nodes
@@ -34,17 +34,17 @@ class Tree:
     inner: np.ndarray  #: numbers of the inner nodes, ascending
 
 
-def build_tree(boxes: np.ndarray) -> Tree:
-    """Build the tree over boxes ``(L, 2, 3)``, whose faces may be infinite.
+def build_bvh(boxes: np.ndarray) -> Bvh:
+    """Build the BVH over boxes ``(L, 2, 3)``, whose faces may be infinite.
 
     Each leaf is one node; a single leaf is the root. Without leaves the root has no children.
     """
     count = len(boxes)
     if count == 0:
         none = np.full(2, NO_LEAF, dtype=np.uint32)
-        return Tree(np.zeros((2, 2, 3)), none, np.zeros(0, dtype=np.int64))
+        return Bvh(np.zeros((2, 2, 3)), none, np.zeros(0, dtype=np.int64))
     # even, as nodes with four children leave out every other level
-    depth = 2 * int(np.ceil(np.log2(_ROOM * count) / 2)) if count > 1 else 0
+    depth = 2 * int(np.ceil(np.log2(_ROOM_PER_LEAF * count) / 2)) if count > 1 else 0
     total = 2 << depth
     leaf = np.full(total, NO_LEAF, dtype=np.uint32)
     bounds = np.zeros((total, 2, 3))
@@ -82,7 +82,7 @@ def build_tree(boxes: np.ndarray) -> Tree:
         )
     inner = np.sort(np.concatenate(levels)) if levels else np.zeros(0, dtype=np.int64)
     used = 2 * int(inner[-1]) + 2 if len(inner) else 2
-    return Tree(bounds[:used], leaf[:used], inner)
+    return Bvh(bounds[:used], leaf[:used], inner)
 
 
 #: Infinite faces count as this far away when costs are compared.

@@ -20,12 +20,12 @@ _DATA = ("bytes", "leaf_count", "affine_count", "graph_count", "group_count", "c
 
 
 def is_bezier(shape: Any) -> bool:
-    """Tell whether a shape of the scene is one of ours."""
+    """Return whether a shape of the scene is one of ours."""
     return hasattr(shape, "patches") and hasattr(shape, "orientation")
 
 
 def contents(value: Any) -> dict[str, Any]:
-    """Return what is in the attributes of our objects, but those of shapes.
+    """Return what is in the attributes of our objects, except those of shapes.
 
     Returns
     -------

@@ -362,32 +362,32 @@ def shading_frame(n: Any, dp_du: Any) -> Any:
 
 
 def surface_interaction(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, copies: Any = None
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, instances: Any = None
 ) -> Any:
     """Return the `mi.SurfaceInteraction3f` of `meet`."""
-    return meet(tables, hit, ray, flags, active, copies).si
+    return meet(tables, hit, ray, flags, active, instances).si
 
 
 def meet(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, copies: Any = None
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, instances: Any = None
 ) -> Met:
     """Return the interaction of hits on patches, and the error of its point; invalid elsewhere.
 
     All fields are those of Mitsuba's own shapes. ``dn_du``, ``dn_dv`` are computed on request
     (`mi.RayFlags.dNGdUV` or `dNSdUV`: the shading normal is the true one). Partials are by the
     texture coordinates `uv`. Where the nets or the ray carry derivatives, so do all fields: along
-    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters. `copies` (`CopyTables`) tells
-    where patches are that have some.
+    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters. `instances`
+    (`InstanceTables`) tell where patches are that have some.
     """
     ours = hit.bezier & mi.Bool(active)
     if dr.grad_enabled(tables.nets, ray):  # Dr.Jit does not differentiate what a branch gathers
-        return Met(*_interaction(tables, hit, ray, flags, ours, copies))
+        return Met(*_interaction(tables, hit, ray, flags, ours, instances))
     # a gather costs a packet the same for one ray as for all: none where no ray hits a patch
     return Met(
         *dr.if_stmt(
             args=(hit, ray, ours),
             cond=ours,
-            true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours, copies),
+            true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours, instances),
             false_fn=lambda _hit, ray, _ours: _no_interaction(ray),
             label="bezier interaction",
         )
@@ -404,13 +404,13 @@ def _no_interaction(ray: Any) -> tuple[Any, Any]:
 
 
 def _interaction(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any, copies: Any
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any, instances: Any
 ) -> tuple[Any, Any]:
     """Return the interactions of the hits `ours`; see `meet`."""
     pi = hit.pi
     u, v, t = pi.prim_uv.x, pi.prim_uv.y, pi.t
     follows_shape = mi.has_flag(flags, mi.RayFlags.FollowShape)
-    place = None if copies is None else copies.place(hit, ours)
+    place = None if instances is None else instances.place(hit, ours)
     jet = tables.jet(hit.patch, u, v, ours, place)
     du, dv, dt, small = jet.step_to(ray, t, ours)
     # The hit point is the patch's, not o + t d. But (u, v) are float32 numbers too, and where
@@ -434,7 +434,7 @@ def _interaction(
     nu = nv = mi.Vector3f(0.0)
     projected, tangents = None, []
     if tables.projections is not None:
-        if place is not None:  # copies have the texture of what they are copies of
+        if place is not None:  # instances have the texture of what they are instances of
             first = tables.jet(hit.patch, pi.prim_uv.x, pi.prim_uv.y, ours).moved(du, dv)
             exact = first.p + first.origin
         projected = tables.project(hit.patch, exact, n, ours, place)

@@ -135,10 +135,10 @@ class Projections:
         p : Vector3d
             Points of the surfaces, where `to_world` has brought them.
         n : mi.Normal3f
-            Unit normals there, or of the copies; either side.
+            Unit normals there, or of the instances; either side.
         active : Bool
         linear : mi.Matrix3d, optional
-            Linear parts of the maps to copies.
+            Linear parts of the maps to instances.
         """
         kind = dr.gather(mi.UInt32, self.kind_of, shape, active)
         rows = gather_packets(self.rows, shape, 22, active)

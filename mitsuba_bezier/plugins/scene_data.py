@@ -19,17 +19,17 @@ from ..geometry.contours import open_edges
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
-from ..kernels.batch import query
 from ..kernels.patch import pack
+from ..kernels.query import Hit
 from ..kernels.structure import Structure, build_structure
-from ..kernels.traverse import Hit
 from ..kernels.trim_table import TrimTable, build_table
+from ..kernels.wavefront import query
 from ..leaves.builder import build_leaves, rebuild_leaves
 from ..leaves.local_nets import local_nets
 from ..leaves.records import LeafSettings, Leaves
 from .attached import attached_tables
-from .copies import CopyTables
 from .frozen import contents, is_bezier
+from .instances import InstanceTables
 from .interaction import Met, PatchTables, Preliminary, meet
 from .offsets import position_error
 from .projections import Projections
@@ -99,9 +99,9 @@ class SceneData:
             cells, cell, keep = trim_cells(Trims.join(trims), leaves.patch, leaves.corners())
             self.trim = build_table(cells, mi.Float)
             leaves, table = leaves.select(keep), (self.trim, cell[keep])
-        #: The patches that are where they are, and those that have copies; None if there are none.
+        #: The patches that are where they are, and those with instances; None if there are none.
         self.structure: Structure | None = None
-        self.copies: CopyTables | None = None
+        self.instances: InstanceTables | None = None
         self._build(leaves, np.array(patch_shape)[leaves.patch], table)
         degree = max(shape.patches.degree for shape in shapes)
         nets = [
@@ -139,7 +139,7 @@ class SceneData:
     def bytes(self) -> int:
         """Memory of leaves and nets, nearly all there is."""
         nets = dr.width(self.tables.nets) * dr.itemsize_v(self.tables.nets)
-        return int(nets) + sum(s.bytes for s in (self.structure, self.copies) if s is not None)
+        return int(nets) + sum(s.bytes for s in (self.structure, self.instances) if s is not None)
 
     @property
     def is_alive(self) -> bool:
@@ -154,11 +154,11 @@ class SceneData:
 
     def _build(self, leaves: Leaves, shape: np.ndarray, trims: Any) -> None:
         """Build the structures of leaves, given their shapes and trims."""
-        copied = [k for k, s in enumerate(self.shapes) if s.copies is not None]
-        if not copied:
+        placed = [k for k, s in enumerate(self.shapes) if s.instances is not None]
+        if not placed:
             self.structure = build_structure(leaves, mi.Float, trims)
             return
-        here = ~np.isin(shape, copied)
+        here = ~np.isin(shape, placed)
 
         def cells(mask: np.ndarray) -> Any:
             return None if trims is None else (trims[0], trims[1][mask])
@@ -166,37 +166,37 @@ class SceneData:
         if here.any() or here.all():  # also of nothing at all
             self.structure = build_structure(leaves.select(here), mi.Float, cells(here))
         if not here.all():
-            objects = np.searchsorted(copied, shape[~here])
-            shapes = [self.shapes[k] for k in copied]
-            self.copies = CopyTables(leaves.select(~here), objects, shapes, cells(~here))
+            objects = np.searchsorted(placed, shape[~here])
+            shapes = [self.shapes[k] for k in placed]
+            self.instances = InstanceTables(leaves.select(~here), objects, shapes, cells(~here))
 
     # ------------------------------------------------------------------ queries
 
     def _nearest(
         self, ray: Any, t_max: Any, active: Any, any_hit: bool, coherent: bool
     ) -> tuple[Hit, Any]:
-        """Return the hit of the kernels, and 1 + the number of the copy, 0 for none."""
+        """Return the hit of the kernels, and 1 + the number of the instance, 0 for none."""
         ty = types_of(mi.Float)
         o = [ty.Float(dr.detach(ray.o[i], False)) for i in range(3)]
         d = [ty.Float(dr.detach(ray.d[i], False)) for i in range(3)]
         t_max, active = dr.detach(mi.Float(t_max), False), dr.detach(mi.Bool(active), False)
         if self.section is not None:
             return self.section.nearest(self, o, d, t_max, active, any_hit), None
-        if self.copies is None:
+        if self.instances is None:
             assert self.structure is not None
             return query(self.structure, o, d, t_max, active, any_hit, coherent), None
         if self.structure is None:
-            hit, copy = self.copies.intersect(o, d, t_max, active, any_hit)
-            return hit, dr.select(hit.valid, copy + 1, 0)
+            hit, instance = self.instances.intersect(o, d, t_max, active, any_hit)
+            return hit, dr.select(hit.valid, instance + 1, 0)
         first = query(self.structure, o, d, t_max, active, any_hit, coherent)
         if any_hit:
             active = active & ~first.valid
-        hit, copy = self.copies.intersect(o, d, dr.minimum(t_max, first.t), active, any_hit)
+        hit, instance = self.instances.intersect(o, d, dr.minimum(t_max, first.t), active, any_hit)
         both = Hit(
             first.valid | hit.valid,
             *(dr.select(hit.valid, y, x) for x, y in zip(first[1:], hit[1:])),
         )
-        return both, dr.select(hit.valid, copy + 1, 0)
+        return both, dr.select(hit.valid, instance + 1, 0)
 
     def preliminary(
         self, ray: Any, active: Any = True, pi: Any = None, coherent: bool = False
@@ -204,7 +204,7 @@ class SceneData:
         """Return the nearest hit, of `pi` (Mitsuba's own, if given) and of our patches."""
         with _recorded():
             ray_maxt = mi.Float(ray.maxt) if pi is None else dr.minimum(ray.maxt, pi.t)
-            hit, copy = self._nearest(ray, ray_maxt, active, False, coherent)
+            hit, instance = self._nearest(ray, ray_maxt, active, False, coherent)
             valid = mi.Bool(hit.valid)
             patch = mi.UInt32(hit.patch)
             if pi is None:
@@ -218,8 +218,8 @@ class SceneData:
             pi.prim_index = dr.select(valid, index, pi.prim_index)
             pi.shape = dr.select(valid, shape, pi.shape)
             pi.instance = dr.select(valid, dr.zeros(mi.ShapePtr), pi.instance)
-            if copy is not None:
-                pi.shape_index = dr.select(valid, mi.UInt32(copy), pi.shape_index)
+            if instance is not None:
+                pi.shape_index = dr.select(valid, mi.UInt32(instance), pi.shape_index)
             return Preliminary(pi, valid, patch)
 
     def owner(self, patch: Any, active: Any) -> tuple[Any, Any]:
@@ -270,7 +270,7 @@ class SceneData:
         tables = self.tables
         if not mi.has_flag(flags, mi.RayFlags.DetachShape):
             tables = self.attached or attached_tables(tables, self.shapes)
-        return meet(tables, hit, ray, flags, active, self.copies)
+        return meet(tables, hit, ray, flags, active, self.instances)
 
     @contextmanager
     def attach(self, mode: Any) -> Iterator[None]:
@@ -412,8 +412,8 @@ def _texcoords(shapes: list[Any]) -> Any:
 
 _cache: OrderedDict[tuple[Any, ...], SceneData] = OrderedDict()
 #: Structures of shapes that are alive are kept, so that scenes can be rendered in turn, as long as
-#: they are few or take less than so many bytes.
-_FEW, _CACHE_BYTES = 8, 2**30
+#: they are few or take less than this many bytes.
+_MAX_KEPT, _CACHE_BYTES = 8, 2**30
 
 
 def _cached(key: tuple[Any, ...], make: Any) -> SceneData:
@@ -429,8 +429,8 @@ def _cached(key: tuple[Any, ...], make: Any) -> SceneData:
     _forget()
     data = make()
     _cache[key] = data
-    total = sum(kept.bytes for kept in _cache.values()) if len(_cache) > _FEW else 0
-    while len(_cache) > _FEW and total > _CACHE_BYTES:
+    total = sum(kept.bytes for kept in _cache.values()) if len(_cache) > _MAX_KEPT else 0
+    while len(_cache) > _MAX_KEPT and total > _CACHE_BYTES:
         total -= _cache.popitem(last=False)[1].bytes
     return data
 

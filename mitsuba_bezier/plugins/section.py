@@ -20,10 +20,10 @@ from ..geometry.boxes import surface_boxes
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import gather_packets, types_of, upload
-from ..kernels.batch import query
+from ..kernels.query import Hit
 from ..kernels.structure import build_structure
-from ..kernels.traverse import Hit
 from ..kernels.trim_table import build_table
+from ..kernels.wavefront import query
 from ..leaves.builder import build_leaves
 from ..leaves.records import LeafSettings, Leaves
 
@@ -103,8 +103,8 @@ class Section:
         kept = next(plane for plane in planes if plane is not None)
         if any(plane is None or not np.array_equal(plane, kept) for plane in planes):
             raise BezierError.expected("section", "the same on all Bézier shapes", "others")
-        if any(s.copies is not None for s in shapes):
-            raise BezierError.expected("section", "shapes without copies", "some with")
+        if any(s.instances is not None for s in shapes):
+            raise BezierError.expected("section", "shapes without instances", "some with")
         return Section(shapes, first)
 
     def __init__(self, shapes: list[Any], first: list[int]) -> None:

@@ -20,18 +20,9 @@ _MEDIA = ("interior", "exterior")
 #: What each plugin documents, and what Mitsuba's class below it takes besides.
 PARAMETERS = {
     "beziertriangle": (
-        *("control_points", "filename", "to_world", "copies", "copies_filename", "flip_normals"),
-        *(
-            "section",
-            "body",
-            "cap",
-            "trims",
-            "texcoords",
-            "uv",
-            "face_normals",
-            "silhouette_sampling_weight",
-            *_MEDIA,
-        ),
+        *("control_points", "filename", "to_world", "instances", "instances_filename"),
+        *("flip_normals", "section", "body", "cap", "trims", "texcoords", "uv", "face_normals"),
+        *("silhouette_sampling_weight", *_MEDIA),
     ),
     "bezierfield": (
         *("ordinates", "weights", "filename", "field", "component", "colormap", "minimum"),
@@ -53,6 +44,10 @@ PARAMETERS = {
     "bezier_prb_projective": (*_PATH, *_SAMPLES),
     "bezier_direct_projective": (*_PATH[1:], *_SAMPLES),
 }
+
+
+#: What parameters were called once.
+RENAMED = {"copies": "instances", "copies_filename": "instances_filename"}
 
 
 def check_known(plugin: str, props: mi.Properties) -> None:
@@ -90,6 +85,8 @@ def check_read(plugin: str, props: mi.Properties) -> None:
 
 def _meant(plugin: str, key: str, cutoff: float) -> str | None:
     word = key.lower().replace("-", "_")
+    if RENAMED.get(word) in PARAMETERS[plugin]:
+        return RENAMED[word]
     if plugin == "beziertriangle" and (attribute := re.fullmatch(r"(face|vertex)_?(\w+)", word)):
         return "_".join(attribute.groups())
     near = difflib.get_close_matches(word, PARAMETERS[plugin], n=1, cutoff=cutoff)

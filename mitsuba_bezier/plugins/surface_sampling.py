@@ -172,9 +172,9 @@ class SurfaceSampling:
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         for number in numbers:
             shape = data.shapes[number]
-            if shape.copies is not None:
+            if shape.instances is not None:
                 raise GeometryError.expected(
-                    f'shape "{shape.id()}"', "one without copies to sample", "copies"
+                    f'shape "{shape.id()}"', "one without instances to sample", "instances"
                 )
             emitter = shape.emitter() if by_emission else None
             varies = emitter is not None and mi.has_flag(

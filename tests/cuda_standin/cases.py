@@ -23,9 +23,9 @@ from drjit import cuda, llvm
 
 from mitsuba_bezier.geometry.trim_cells import trim_cells
 from mitsuba_bezier.geometry.trims import Trims, square_map
-from mitsuba_bezier.kernels import batch
-from mitsuba_bezier.kernels.copies import build_copies, intersect_copies
+from mitsuba_bezier.kernels import wavefront
 from mitsuba_bezier.kernels.curvature import affine_second_partials, evaluate_second
+from mitsuba_bezier.kernels.instances import build_instances, intersect_instances
 from mitsuba_bezier.kernels.patch import affine_partials, pack
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
@@ -127,16 +127,19 @@ def found(structures: Structures, like: Any, any_hit: bool) -> dict[str, np.ndar
 
 
 def in_batch(structures: Structures, like: Any, any_hit: bool) -> dict[str, np.ndarray]:
-    batch._FEW, batch._SHARE = 16, 5  # all rounds, and lanes that take several rays
+    wavefront._MIN_RAYS, wavefront._RAYS_A_LANE = (
+        16,
+        5,
+    )  # all rounds, and lanes that take several rays
     columns = [like(x) for x in rays()]
     s = structures(like)
     assert s.kinds >= GRAPHS
-    hit = batch.intersect_batch(s, columns[:3], columns[3:], like(np.inf), True, any_hit)
+    hit = wavefront.intersect_wavefront(s, columns[:3], columns[3:], like(np.inf), True, any_hit)
     dr.eval(hit)
     return {name: np.array(x) for name, x in zip(hit._fields, hit)}
 
 
-def among_copies(patches: mb.BezierTriangles, like: Any, any_hit: bool) -> dict[str, np.ndarray]:
+def among_instances(patches: mb.BezierTriangles, like: Any, any_hit: bool) -> dict[str, np.ndarray]:
     leaves = build_leaves(patches)
     s = build_structure(leaves, like, None, np.zeros(len(leaves), dtype=int))
     rng = np.random.default_rng(3)
@@ -146,11 +149,13 @@ def among_copies(patches: mb.BezierTriangles, like: Any, any_hit: bool) -> dict[
     matrices[:, :3, 3] = rng.uniform(-0.8, 0.8, (count, 3))
     low, high = patches.bounds()[:, 0].min(axis=0), patches.bounds()[:, 1].max(axis=0)
     boxes = np.stack([low, high])[None] * matrices[:, 0, 0, None, None] + matrices[:, None, :3, 3]
-    copies = build_copies(s, boxes, np.zeros(count, dtype=int), matrices, like)
+    instances = build_instances(s, boxes, np.zeros(count, dtype=int), matrices, like)
     columns = [like(x) for x in rays()]
-    hit, copy = intersect_copies(copies, columns[:3], columns[3:], like(np.inf), True, any_hit)
-    dr.eval(hit, copy)
-    return {name: np.array(x) for name, x in zip((*hit._fields, "copy"), (*hit, copy))}
+    hit, instance = intersect_instances(
+        instances, columns[:3], columns[3:], like(np.inf), True, any_hit
+    )
+    dr.eval(hit, instance)
+    return {name: np.array(x) for name, x in zip((*hit._fields, "instance"), (*hit, instance))}
 
 
 Run = Callable[[Any], "dict[str, np.ndarray]"]
@@ -165,7 +170,7 @@ for _any, _kind in ((False, "closest"), (True, "any")):
     for _name, _make in STRUCTURES.items():
         CASES[f"{_name}, {_kind}"] = _case(found, _make, _any)
     CASES[f"batch, {_kind}"] = _case(in_batch, STRUCTURES["several kinds"], _any)
-    CASES[f"copies, {_kind}"] = _case(among_copies, lambda: mb.torus(tube=0.3), _any)
+    CASES[f"instances, {_kind}"] = _case(among_instances, lambda: mb.torus(tube=0.3), _any)
 
 
 def _points(like: Any) -> dict[str, np.ndarray]:
@@ -213,7 +218,7 @@ def differences(name: str, one: dict[str, np.ndarray], other: dict[str, np.ndarr
     if "closest" not in name:
         return {**result, "different": int(different.sum())}
     both = one["valid"] & valid
-    for key in {"patch", "copy"} & set(one):
+    for key in {"patch", "instance"} & set(one):
         different |= both & (one[key] != other[key])
     same = ~different & valid
     result["different"] = int(different.sum())

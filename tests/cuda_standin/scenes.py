@@ -44,10 +44,10 @@ def scene(integrator: dict[str, Any]) -> Any:
                 "to_world": mi.ScalarTransform4f().translate([0, 0, 2]),
                 "emitter": {"type": "area"},
             },
-            "copies": {
+            "instances": {
                 "type": "beziertriangle",
                 "control_points": mi.TensorXf(mb.torus(tube=0.3).control_points),
-                "copies": mi.TensorXf(np.eye(4)[None, :3] + [0, 0, 0, 2.0]),
+                "instances": mi.TensorXf(np.eye(4)[None, :3] + [0, 0, 0, 2.0]),
             },
             "floor": {
                 "type": "rectangle",

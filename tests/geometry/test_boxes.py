@@ -131,7 +131,7 @@ def test_a_zero_vector_among_the_control_points_is_not_infinity():
     points = patches.points(np.zeros(len(uv), dtype=int), uv)
     assert (box[0] <= points.min(axis=0)).all() and (box[1] >= points.max(axis=0)).all()
     assert np.abs(box - [[0, 0, 0], [1, 1, 0]]).max() < 2 * TIGHT
-    shape = mi.load_dict({**bezier(patches), "copies": tensor(np.eye(4)[None, :3])})
+    shape = mi.load_dict({**bezier(patches), "instances": tensor(np.eye(4)[None, :3])})
     assert np.allclose(shape.bbox().max, [1, 1, 0], atol=2 * TIGHT)
 
 
@@ -160,11 +160,11 @@ def test_boxes_of_scenes():
     assert (np.array(s.bbox().max, dtype=float) >= centre + 0.3).all()
 
 
-def test_copies_of_finite_surfaces_with_points_at_infinity():
+def test_instances_of_finite_surfaces_with_points_at_infinity():
     maps = np.broadcast_to(np.eye(4)[:3], (2, 3, 4)).copy()
     maps[1, 0, 3] = 5
     ball = bezier(mb.sphere(cover="lunes"))
-    shape = mi.load_dict({**ball, "copies": tensor(maps)})
+    shape = mi.load_dict({**ball, "instances": tensor(maps)})
     low, high = np.array(shape.bbox().min), np.array(shape.bbox().max)
     assert (low <= -1).all() and (low > -2).all()
     assert (high >= [6, 1, 1]).all() and (high < [7, 2, 2]).all()

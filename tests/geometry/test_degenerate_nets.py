@@ -221,14 +221,14 @@ def test_updates_to_a_point_and_back():
         assert np.allclose(a, b, atol=1e-6)
 
 
-def test_copies_and_others_beside_nothing():
+def test_instances_and_others_beside_nothing():
     point, good = planar(2, [[0, 0, 0]] * 3)[None], planar(2, GOOD)[None]
-    copies = np.eye(4)[None, :3]
+    maps = np.eye(4)[None, :3]
 
     def shape(nets: np.ndarray, copied: bool) -> dict:
         tensor = mi.TensorXd(nets.ravel(), nets.shape)
         out = {"type": "beziertriangle", "control_points": tensor}
-        return out | ({"copies": mi.TensorXd(copies.ravel(), copies.shape)} if copied else {})
+        return out | ({"instances": mi.TensorXd(maps.ravel(), maps.shape)} if copied else {})
 
     alone = answers(mi.load_dict({"type": "scene", "a": shape(good, False)}), down())
     for first in (False, True):

@@ -69,7 +69,7 @@ GROUPS = {
     "infinity": ("infinity",),
     "several kinds": ("several kinds",),
     "trims": ("trims",),
-    "copies": ("copies",),
+    "instances": ("instances",),
 }
 
 
@@ -78,7 +78,7 @@ GROUPS = {
 @pytest.mark.parametrize("group", GROUPS)
 def test_cuda_finds_what_llvm_finds(stand_in, group, kind):
     names = [f"{name}, {kind}" for name in GROUPS[group]]
-    if group == "copies" and kind == "closest":  # one is enough: not used on CUDA so far
+    if group == "instances" and kind == "closest":  # one is enough: not used on CUDA so far
         names.append("batch, closest")
     folder, results = stand_in.run("cases", f"{group}, {kind}", names, rough=True)
     assert [result["case"] for result in results] == names

@@ -11,7 +11,7 @@ from mitsuba_bezier.kernels import nodes as nodes_module
 from mitsuba_bezier.kernels.arrays import types_of
 from mitsuba_bezier.kernels.nodes import build_nodes
 from mitsuba_bezier.kernels.walk import BvhRays, begin, begin_at_root, next_leaf, prepare
-from mitsuba_bezier.leaves.bvh import NO_LEAF, build_tree
+from mitsuba_bezier.leaves.bvh import NO_LEAF, build_bvh
 
 
 def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float):
@@ -24,7 +24,7 @@ def visits(boxes, o, d, t_max=np.inf, owner=None, tree=0, float_type=plain.Float
     bvh = BvhRays(nodes, ty, ty.UInt(int(nodes.first[tree])), slabs)
     every = dr.full(ty.Bool, True, dr.width(o[0]))
     walk = begin(ty, nodes, slabs, t_max)
-    if tree:  # the kernel of copies begins like this
+    if tree:  # the kernel of instances begins like this
         walk = begin_at_root(ty, nodes, ty.Bool(bool(nodes.single[tree])), every)
     out = [[] for _ in range(dr.width(o[0]))]
     while True:
@@ -175,7 +175,7 @@ def test_ten_levels_of_nodes():
 
 def test_records_hold_boxes_in_float64_within_a_unit():
     boxes = some_boxes(300, 20)
-    tree = build_tree(boxes)
+    tree = build_bvh(boxes)
     records = nodes_module._records(tree, False).view(np.uint32)
     for k in (1, 4, 7, 21):
         words = records[k]

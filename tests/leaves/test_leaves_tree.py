@@ -1,4 +1,4 @@
-"""Leaves: that they tile, and that what they claim holds. Tree: the layout traversal relies on."""
+"""Leaves: that they tile, and that what they claim holds. Bvh: the layout traversal relies on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.bvh import NO_LEAF, Tree, build_tree
+from mitsuba_bezier.leaves.bvh import NO_LEAF, Bvh, build_bvh
 from mitsuba_bezier.leaves.closed_form.plane_sections import edge_planes
 from mitsuba_bezier.leaves.records import (
     INVERTED_KINDS,
@@ -468,9 +468,9 @@ BOXES = {
 
 
 @pytest.fixture(scope="module", params=BOXES)
-def tree(request) -> tuple[np.ndarray, Tree]:
+def tree(request) -> tuple[np.ndarray, Bvh]:
     boxes = BOXES[request.param]
-    return boxes, build_tree(boxes)
+    return boxes, build_bvh(boxes)
 
 
 def test_each_leaf_is_one_node(tree):
@@ -500,7 +500,7 @@ def test_trees_are_shallow(tree):
     assert len(t.leaf) <= max(2, 10 * len(boxes))
 
 
-def walk(t: Tree, o: np.ndarray, d: np.ndarray) -> tuple[list[int], int]:
+def walk(t: Bvh, o: np.ndarray, d: np.ndarray) -> tuple[list[int], int]:
     """Traverse nearer child first; return the leaves whose boxes the ray meets, in order."""
     with np.errstate(divide="ignore"):
         rcp = 1 / d
@@ -530,7 +530,7 @@ def walk(t: Tree, o: np.ndarray, d: np.ndarray) -> tuple[list[int], int]:
 
 def test_traversal_meets_all_boxes_on_a_ray():
     boxes = BOXES["infinite"]
-    tree = build_tree(boxes)
+    tree = build_bvh(boxes)
     rng = np.random.default_rng(8)
     for _ in range(100):
         o, d = rng.normal(size=3) * [10, 2, 2], rng.normal(size=3)
@@ -546,7 +546,7 @@ def test_trees_are_worth_their_keep():
     rng = np.random.default_rng(9)
     centre = rng.uniform(-1, 1, (1000, 3))
     boxes = np.stack([centre - 0.03, centre + 0.03], axis=1)
-    tree = build_tree(boxes)
+    tree = build_bvh(boxes)
     reads, ordered = [], []
     for _ in range(100):
         o = rng.normal(size=3)

@@ -453,7 +453,7 @@ def test_irradiance_meter_and_distant_sensor():
 
 
 def test_groups_of_shapes_are_an_error():
-    with pytest.raises(RuntimeError, match=r"shapegroup: .* parameter `copies`"):
+    with pytest.raises(RuntimeError, match=r"shapegroup: .* parameter `instances`"):
         mi.load_dict({"type": "shapegroup", "ball": bezier(mb.sphere())})
     mi.load_dict({"type": "shapegroup", "ball": {"type": "sphere"}})
 

@@ -197,10 +197,12 @@ def test_bad_parameters(name, parameters, message):
         mi.load_dict({"type": name, **parameters})
 
 
-def test_copies_have_no_outlines():
-    copies = mi.TensorXf(np.eye(4, dtype=np.float32)[None].repeat(2, axis=0))
-    shape = mi.load_dict(bezier(BENT, copies=copies))
-    with pytest.raises(mb.BezierError, match="expected no copies where silhouettes are asked for"):
+def test_instances_have_no_outlines():
+    maps = mi.TensorXf(np.eye(4, dtype=np.float32)[None].repeat(2, axis=0))
+    shape = mi.load_dict(bezier(BENT, instances=maps))
+    with pytest.raises(
+        mb.BezierError, match="expected no instances where silhouettes are asked for"
+    ):
         shape.precompute_silhouette(mi.ScalarPoint3f(0, 0, 5))
 
 

@@ -45,7 +45,7 @@ def torus(**more: Any) -> dict[str, Any]:
     return bezier(mb.torus(), **more)
 
 
-def copies() -> Any:
+def maps() -> Any:
     maps = np.repeat(np.eye(3, 4, dtype=np.float32)[None], 3, axis=0)
     maps[:, 0, 3], maps[:, :, :3] = [-1, 0, 1], 0.4 * np.eye(3)
     return mi.TensorXf(maps)
@@ -58,7 +58,7 @@ CASES = {
         {"a": bezier(mb.sphere(cover="tetrahedral")), "b": torus(), "c": {"type": "rectangle"}}
     ),
     "a light": lambda: scene_of({"a": bezier(emitter={"type": "area"}), "b": torus()}),
-    "copies": lambda: scene_of({"a": bezier(copies=copies())}),
+    "instances": lambda: scene_of({"a": bezier(instances=maps())}),
     "aovs": lambda: scene_of({"a": torus()}, "bezieraov", aovs="n:sh_normal"),
     "volumes": lambda: scene_of({"a": torus()}, "beziervolpath"),
 }

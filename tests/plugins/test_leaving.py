@@ -75,15 +75,15 @@ def test_shells(cover, offset, size):
     assert passes(scene, ray, "baab").sum() == 0
 
 
-@pytest.mark.parametrize("kind", ["copies", "texcoords", "uv", "mixed", "flipped"])
+@pytest.mark.parametrize("kind", ["instances", "texcoords", "uv", "mixed", "flipped"])
 def test_shells_of_every_kind(kind):
     ball = mb.sphere(cover="octants")
     outer = mi.ScalarTransform4f().scale([1 + GAP] * 3)
     more: dict[str, Any] = {}
-    if kind == "copies":
+    if kind == "instances":
         maps = np.tile(np.eye(4), (2, 1, 1))
         maps[1, :3, 3] = 1e4, 0, 0  # where these rays do not come
-        more = {"copies": mi.TensorXf(maps.astype(np.float32).ravel(), shape=maps.shape)}
+        more = {"instances": mi.TensorXf(maps.astype(np.float32).ravel(), shape=maps.shape)}
     elif kind == "texcoords":  # coordinates that tell nothing of the patch's size
         corners = np.array([[1e4, 0], [0, 1e4], [0, 0]], dtype=np.float32)
         corners = np.tile(corners, (len(ball), 1, 1))

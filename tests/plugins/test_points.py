@@ -84,7 +84,7 @@ def test_balls_are_as_exact_as_those_of_mitsuba(centre, radius):
         for made in (
             {"control_points": tensor(net), "to_world": move(centre, radius)},
             {"control_points": mi.TensorXd(here)},
-            {"control_points": tensor(net), "copies": mi.TensorXd(maps)},
+            {"control_points": tensor(net), "instances": mi.TensorXd(maps)},
         ):
             shape = mi.load_dict({"type": "beziertriangle", **made})
             p, mean, most = errors(shape.ray_intersect(ray_of(o, d)), o, d, centre, radius)

@@ -299,7 +299,7 @@ def test_several_projections_in_a_scene():
     assert np.quantile(np.minimum(off, 1 - off)[near], 0.99) < 1e-4
 
 
-def test_copies_have_the_texture_of_the_first():
+def test_instances_have_the_texture_of_the_first():
     maps = np.array(
         [
             mi_matrix(mi.ScalarTransform4f().translate([4, 0, 0]).rotate([0, 0, 1], 33)),
@@ -307,7 +307,7 @@ def test_copies_have_the_texture_of_the_first():
         ]
     )
     home = mi.ScalarTransform4f().rotate([0, 0.6, 0.8], 20).scale(0.7)
-    copied = mi.load_dict(bezier(uv="spherical", to_world=home, copies=tensor(maps)))
+    copied = mi.load_dict(bezier(uv="spherical", to_world=home, instances=tensor(maps)))
     o, d = ball_rays(4000)
     for m in maps:
         place = mi.ScalarTransform4f((m @ mi_matrix(home)).tolist())

@@ -129,3 +129,12 @@ def test_keywords_of_python():
         mb.BezierTriangles(control_point=[])  # type: ignore[call-arg]
     with pytest.raises(mb.FileFormatError, match=r"encodin: .*\(encoding or trims or attributes\)"):
         save(mb.sphere(), "ball.vtu", encodin="ascii")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("copies", "instances"), ("copies_filename", "instances_filename")]
+)
+def test_what_was_called_otherwise_once(old, new):
+    value = "maps.npy" if "filename" in old else mi.TensorXf([1.0] * 12, (1, 3, 4))
+    with pytest.raises(RuntimeError, match=f"unknown parameter '{old}'; did you mean '{new}'"):
+        mi.load_dict(bezier(**{old: value}))

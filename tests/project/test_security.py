@@ -227,9 +227,9 @@ def test_pickles(tmp_path, monkeypatch, kind):
     else:
         np.save("maps.npy", np.array([Evil()], dtype=object), allow_pickle=True)
     net = mi.TensorXf(mb.sphere().control_points)
-    with pytest.raises(RuntimeError, match=r"copies_filename: expected a \.npy file"):
+    with pytest.raises(RuntimeError, match=r"instances_filename: expected a \.npy file"):
         mi.load_dict(
-            {"type": "beziertriangle", "control_points": net, "copies_filename": "maps.npy"}
+            {"type": "beziertriangle", "control_points": net, "instances_filename": "maps.npy"}
         )
     assert not Path("RAN").exists()
 

@@ -18,8 +18,8 @@ from .chart import affine_rays
 
 __all__ = ["polish"]
 
-#: Hits are polished if the ray would come nearer to the surface by less than so many leaf sizes on
-#: its whole way: 1e-7 of a leaf is then more than 1e-6 of the way.
+#: Hits are polished if the ray would come nearer to the surface by less than this, in leaf sizes,
+#: on its whole way: 1e-7 of a leaf is then more than 1e-6 of the way.
 _GRAZING = 0.1
 #: Newton's step counts up to this share of the cosine, in leaf sizes: two roots are about twice
 #: that apart, and after it the error is the step times half this share.

@@ -46,9 +46,9 @@ _LEAST = 0.05
 #: together, so that its rounding in float32 is half of that tolerance.
 _WEIGHTS, _TERMS = 16.0, 5.0
 #: Ways to project, the first that does is taken.
-_WAYS = ("normal", "mean", "axis")
-#: Patches are cut so many times, if Newton's method does not do.
-_CUTS = 2
+_PROJECTIONS = ("normal", "mean", "axis")
+#: Patches are cut this many times, if Newton's method does not do.
+_MAX_CUTS = 2
 #: Patches of higher degrees are left to others: the kernels would be too large.
 _HIGHEST = 8
 #: A patch on a quadric has a system of ten points and ten entries of a form that is worse
@@ -102,7 +102,7 @@ def inverted_leaves(patches: BezierTriangles) -> tuple[np.ndarray, ClosedFormLea
 
 
 def _on_quadrics(patches: BezierTriangles) -> tuple[np.ndarray, ...]:
-    """Tell which patches lie on quadrics, or in planes.
+    """Find the patches that lie on quadrics, or in planes.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def margin_planes(leaves: ClosedFormLeaves) -> np.ndarray:
 
 
 def _may_lie_on_quadrics(local: np.ndarray, n: int) -> np.ndarray:
-    """Tell, quickly, which nets may lie on a quadric, from ten points of each."""
+    """Return a mask, quickly, of nets that may lie on a quadric: from ten points of each."""
     lattice = bernstein.multi_indices(3)[:, :2] / 3.0
     points = bernstein.basis(n, lattice) @ local
     points = points / np.maximum(np.linalg.norm(points, axis=2, keepdims=True), 1e-300)
@@ -199,11 +199,11 @@ def _invert(local: np.ndarray, forms: np.ndarray, n: int) -> tuple[_Parts, np.nd
     owner, nets = np.arange(len(local)), local
     domain = np.broadcast_to(np.eye(3), (len(local), 3, 3))
     done: list[_Parts] = []
-    for level in range(_CUTS + 1):
+    for level in range(_MAX_CUTS + 1):
         parts, good = _maps(owner, domain, nets, forms[owner], n)
         done.append(parts.select(good))
         rest = ~good
-        if level == _CUTS or not rest.any():
+        if level == _MAX_CUTS or not rest.any():
             break
         owner = np.repeat(owner[rest], 4)
         domain = np.einsum("pij,ekj->peik", domain[rest], bernstein.SPLIT_CORNERS)
@@ -227,8 +227,8 @@ def _maps(
     scale = np.where(differ[:, None], corners ** (-1 / n), 1.0)
     domain = domain * scale[:, None]
     nets = nets * np.prod(scale[:, None] ** bernstein.multi_indices(n), axis=2)[..., None]
-    out, good = _project(owner, domain, nets, forms, n, _WAYS[0])
-    for way in _WAYS[1:]:
+    out, good = _project(owner, domain, nets, forms, n, _PROJECTIONS[0])
+    for way in _PROJECTIONS[1:]:
         rest = np.flatnonzero(~good)
         if not len(rest):
             break
@@ -349,7 +349,7 @@ def _axes_of_cones(forms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_even(fractions: np.ndarray, n: int, uv: np.ndarray) -> np.ndarray:
-    """Tell where Q, and the rounding of the equations, differ little from place to place."""
+    """Return a mask of nets where Q, and the rounding of the equations, differ little."""
     i, j = bernstein.multi_indices(n)[:, :2].T
     powers = (uv[:, :1] - 1 / 3) ** i * (uv[:, 1:] - 1 / 3) ** j
     q = powers @ fractions[..., 2:3]
@@ -360,7 +360,7 @@ def _is_even(fractions: np.ndarray, n: int, uv: np.ndarray) -> np.ndarray:
 
 
 def _is_regular(maps: np.ndarray, n: int, lattice: np.ndarray) -> np.ndarray:
-    """Tell, by samples, where the map to the plane does not fold; it may be singular at edges."""
+    """Return a mask, by samples, of maps to the plane without folds; edges may be singular."""
     uv, inner = lattice[:, :2] / TRIED, lattice.min(axis=1) > 0
     value = bernstein.basis(n, uv) @ maps
     du, dv = (bernstein.basis(n - 1, uv) @ (m @ maps) for m in bernstein.partials_matrices(n))

@@ -1,6 +1,6 @@
 """Newton's method for the parameters of a point of a plane, on a rational map of triangles.
 
-As `kernels.closed_form.newton` takes it for inverted leaves, here in float64 at samples, so that
+As `kernels.closed_form.inverted` takes it for inverted leaves, here in float64 at samples, so that
 the builder knows whether it will find them (see `inverted`).
 """
 
@@ -58,7 +58,7 @@ def _tried() -> np.ndarray:
 
 
 def newton_converges(maps: np.ndarray, fractions: np.ndarray, n: int) -> np.ndarray:
-    """Tell, by samples, where the kernel's iteration finds the parameters.
+    """Return a mask, by samples, of nets whose parameters the kernel's iteration finds.
 
     Others with the same coordinates will do: on a collapsed edge there are many.
     """

@@ -34,7 +34,7 @@ _DETERMINED = 1e-4
 _MIDDLE = 0.5 + 0.5j
 #: Newton steps after which the parameters must be found, and how well: nets in float32.
 _STEPS = 8
-_OFF = 1e-5
+_MAX_ERROR = 1e-5
 #: Leaves looked at together: bounds the memory.
 _CHUNK = 512
 #: Parameters by a map that leaves share may be off by this, ten roundings of float32: what nets in
@@ -105,7 +105,7 @@ def shared_map(
     """Return what finds the parameters of points on all such leaves alike, if they are congruent.
 
     Octants of one sphere are, and of its affine images: what `_projections` makes of a patch does
-    not depend on its place, but for rounding.
+    not depend on its place, up to rounding.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def shared_map(
 def _gives_parameters(
     matrix: np.ndarray, net: np.ndarray, leaves: ClosedFormLeaves, sides: np.ndarray
 ) -> bool:
-    """Tell whether what `shared_map` returns is right for leaves with these sides, by samples."""
+    """Return whether what `shared_map` returns is right for leaves with these sides, by samples."""
     uv = bernstein.multi_indices(6)[:, :2] / 6 - 1 / 3
     value = np.einsum("lsi,lij,kj->lsk", _points(leaves, uv), sides.transpose(0, 2, 1), matrix)
     z = (value[..., 0] + 1j * value[..., 1]) / value.sum(axis=2) - _MIDDLE
@@ -174,7 +174,7 @@ def _edge(n: int, corner: int) -> np.ndarray:
 
 
 def _plane_edges(local: np.ndarray, n: int) -> np.ndarray:
-    """Tell, quickly, which nets may have three plane edges: four points of each are in a plane."""
+    """Return a mask, quickly, of nets that may have three plane edges: by four points of each."""
     out = np.ones(len(local), dtype=bool)
     for corner in range(3):
         edge = _edge(n, corner)
@@ -218,7 +218,7 @@ def _meet_inside(planes: np.ndarray, forms: np.ndarray) -> np.ndarray:
 
 
 def _regular(local: np.ndarray, planes: np.ndarray, n: int) -> np.ndarray:
-    """Tell where the planes' values are one-to-one in the parameters, by samples.
+    """Return a mask of nets in whose parameters the planes' values are one-to-one, by samples.
 
     They are positive inside, so the patch does not leave its region, and the map from the
     parameters to their ratios does not fold, so it is covered once.
@@ -314,7 +314,7 @@ def _fractions(local: np.ndarray, rows: np.ndarray, n: int) -> tuple[np.ndarray,
 def _newton_converges(
     local: np.ndarray, rows: np.ndarray, fractions: np.ndarray, n: int
 ) -> np.ndarray:
-    """Tell, by samples, where the kernel's iteration finds the parameters."""
+    """Return a mask, by samples, of nets whose parameters the kernel's iteration finds."""
     lattice = bernstein.multi_indices(12)[:, :2] / 12.0
     goal = lattice - 1 / 3
     z, d = _complex(rows, bernstein.basis(n, lattice) @ local)
@@ -324,10 +324,10 @@ def _newton_converges(
         for _ in range(_STEPS):
             du, dv = _newton(equation, u, v)
             u, v = u + du, v + dv
-            if not (np.abs([du, dv]) > _OFF**2).any():
+            if not (np.abs([du, dv]) > _MAX_ERROR**2).any():
                 break
         off = np.maximum(np.abs(u - goal[:, 0]), np.abs(v - goal[:, 1])).max(axis=1)
-    return off < _OFF
+    return off < _MAX_ERROR
 
 
 def _equation(z: np.ndarray, net: np.ndarray) -> dict[tuple[int, int], np.ndarray]:

@@ -20,7 +20,7 @@ __all__ = ["collapsed_edge", "fan", "strips"]
 SHORT = 0.02
 #: Strips end where the edge is no longer short against the strip ...
 COMPARABLE = 0.25
-#: ... or after so many halvings. What is left is 1e-4 of the patch, planar to 1e-8 of it;
+#: ... or after this many halvings. What is left is 1e-4 of the patch, planar to 1e-8 of it;
 #: smaller leaves would have no digits left in float32.
 STRIPS = 12
 #: Largest angle (radians) of a sector of a strip, seen from the collapsed edge.

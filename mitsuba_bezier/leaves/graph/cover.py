@@ -17,9 +17,9 @@ __all__ = ["by_size", "covering_sizes", "edge_reach", "needed_margin", "to_trian
 
 #: A parameter triangle that reaches out by this times what the chart triangle does will do.
 _STEEP = 1.15
-#: ... and if not, larger ones are tried: so many in all.
+#: ... and if not, larger ones are tried: this many in all.
 _TRIES = 4
-#: The edges of the parameter triangle are sampled at the ends of so many pieces.
+#: The edges of the parameter triangle are sampled at the ends of this many pieces.
 _PIECES = 8
 
 #: Leaves examined at a time: what fits in the cache.
@@ -110,7 +110,7 @@ def _edge_matrices(n: int, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _covers(chart: np.ndarray, needed: np.ndarray, n: int, size: int) -> np.ndarray:
-    """Tell for which leaves the edges of ``T`` do not meet ``P``.
+    """Return a mask of leaves for which the edges of ``T`` do not meet ``P``.
 
     Each piece between two samples has to be beyond one of the edges of ``P``: ``U + m W < 0`` for a
     barycentric ``U`` and its ``m``. That is a polynomial, which is off its linear interpolation by

@@ -37,10 +37,12 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         leaves, good = _graph_leaves(nets, domain, patch, settings)
         yield leaves.select(good)
         singular = _singular_corner(nets)
-        crowd = _waiting(patch, good)
+        pending = _pending(patch, good)
         middle = places[1][np.searchsorted(places[0], patch)]
-        last = _below_float32(leaves.box, middle, singular >= 0) | (crowd > _BUDGET)
-        last[crowd > _CROWD] |= _flat(nets[crowd > _CROWD], middle[crowd > _CROWD])
+        last = _below_float32(leaves.box, middle, singular >= 0) | (pending > _MAX_PENDING_LEAVES)
+        last[pending > _MANY_PENDING_LEAVES] |= _flat(
+            nets[pending > _MANY_PENDING_LEAVES], middle[pending > _MANY_PENDING_LEAVES]
+        )
         last &= ~good
         if depth == settings.max_depth:
             last = ~good
@@ -48,7 +50,7 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
             for tip in range(-1, 3):
                 part = last & (singular == tip)
                 if part.any():
-                    yield _crumbs(nets[part], domain[part], patch[part], settings, tip)
+                    yield _fallback_triangles(nets[part], domain[part], patch[part], settings, tip)
         rest = ~good & ~last
         if not rest.any():
             return
@@ -77,16 +79,16 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         patch = np.concatenate(numbers)
 
 
-#: Most leaves of one patch that may wait for a further cut. A patch whose parametrisation is
+#: Most leaves of one patch that may be pending, to be cut further. A patch whose parametrisation is
 #: singular along a curve has more at every level; it ends as planar triangles.
-_BUDGET = 20000
-#: With so many leaves waiting, those that are planar to this, relative to their coordinates, are
+_MAX_PENDING_LEAVES = 20000
+#: With this many leaves pending, those that are planar to this, relative to their coordinates, are
 #: cut no further: four planar triangles in place of one are off by a fourth of it, a rounding.
-_CROWD, _FLAT = 500, 2.5e-7
-#: Least cosine between the corners, as homogeneous vectors, of a crumb that meets infinity.
-_CLOSE = 0.9
-#: Crumbs are drawn out by this, so that chords cover the arcs they replace.
-_OVERLAP = 1.03
+_MANY_PENDING_LEAVES, _FLAT = 500, 2.5e-7
+#: Least cosine between the corners, as homogeneous vectors, of a triangle that meets infinity.
+_MIN_COSINE = 0.9
+#: Fallback triangles are drawn out by this, so that chords cover the arcs they replace.
+_GROWTH = 1.03
 
 
 def _singular_corner(nets: np.ndarray) -> np.ndarray:
@@ -119,7 +121,7 @@ def _middles(nets: np.ndarray) -> np.ndarray:
 
 
 def _below_float32(box: np.ndarray, middle: np.ndarray, singular: np.ndarray) -> np.ndarray:
-    """Tell which leaves are too small to have a chart in float32, whose origin is rounded.
+    """Return a mask of leaves too small to have a chart in float32, whose origin is rounded.
 
     They lie at singular corners such as the apex of a cone. Further cuts could not make them
     better: they would all be cut down to the last level. What counts is their size in that of the
@@ -138,7 +140,7 @@ def _below_float32(box: np.ndarray, middle: np.ndarray, singular: np.ndarray) ->
 
 
 def _flat(nets: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Tell which nets with weights of one sign are planar but for `_FLAT`."""
+    """Return a mask of nets with weights of one sign that are planar up to `_FLAT`."""
     w = nets[..., 3]
     finite = np.logical_or((w > 0).all(axis=1), (w < 0).all(axis=1))
     p = _affine(np.where(finite[:, None, None], nets, 1.0)) - middle[:, None]
@@ -150,12 +152,12 @@ def _flat(nets: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return finite & (spread < _FLAT * size)
 
 
-def _waiting(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
+def _pending(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
     """Return for each leaf how many of its patch are not good."""
     return np.bincount(patch[~good], minlength=int(patch.max(initial=0)) + 1)[patch]
 
 
-def _crumbs(
+def _fallback_triangles(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings, corner: int
 ) -> GraphLeaves:
     """Return planar leaves in place of those that cannot be made good.
@@ -178,9 +180,9 @@ def _crumbs(
     # line; a triangle through them and through infinity would be met by half of all rays
     size = np.linalg.norm(points, axis=2, keepdims=True)
     ray = points / np.where(size > 0, size, 1.0)
-    close = np.einsum("tic,tjc->tij", ray, ray).min(axis=(1, 2)) > _CLOSE
+    close = np.einsum("tic,tjc->tij", ray, ray).min(axis=(1, 2)) > _MIN_COSINE
     middle = points.mean(axis=1, keepdims=True)
-    points = middle + _OVERLAP * (points - middle)
+    points = middle + _GROWTH * (points - middle)
     for m in range(1, n):
         points = bernstein.elevation_matrix(m) @ points
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
@@ -278,7 +280,7 @@ _CHUNK = 4096
 def _graph_leaves(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
 ) -> tuple[GraphLeaves, np.ndarray]:
-    """Fit a chart to each net and tell which are good leaves."""
+    """Fit a chart to each net; return the leaves and a mask of good ones."""
     parts = [
         _fit_charts(nets[c], domain[c], patch[c], settings)
         for c in (slice(i, i + _CHUNK) for i in range(0, max(len(nets), 1), _CHUNK))
@@ -372,7 +374,7 @@ def _seven(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _hopeless(chart: np.ndarray, settings: LeafSettings) -> np.ndarray:
-    """Tell from seven points which leaves are too crooked: most are, and bounds are dear."""
+    """Return a mask, from seven points, of leaves too crooked: most are, and bounds are dear."""
     value, du, dv = (m @ chart for m in _seven(bernstein.degree_of(chart.shape[1])))
     inv = 1.0 / value[..., 3:]
     p = value[..., :3] * inv

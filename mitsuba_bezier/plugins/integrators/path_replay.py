@@ -34,7 +34,7 @@ _warned: set[str] = set()
 
 
 def _warn_of_mirrors(scene: Any) -> None:
-    """Say once that directions are sampled without derivatives, where it matters most."""
+    """Warn once that directions are sampled without derivatives, where it matters most."""
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         if bsdf is None or not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta):

@@ -28,7 +28,7 @@ def _make(props: Any, own: Callable[[Any], Any]) -> Any:
         if props.type(key) == mi.Properties.Type.Object and is_bezier(props[key]):
             raise BezierError.expected(
                 "shapegroup",
-                "shapes other than beziertriangle, whose parameter `copies` makes instances",
+                "shapes other than beziertriangle, whose parameter `instances` makes instances",
                 f"the beziertriangle {key!r}",
             )
     return own(props)

@@ -21,7 +21,7 @@ __all__ = ["check_attribute", "check_texcoords", "is_attribute", "make_attribute
 
 
 def is_attribute(name: str) -> bool:
-    """Tell whether a parameter of this name is an attribute, as of `mi.Mesh`."""
+    """Return whether a parameter of this name is an attribute, as of `mi.Mesh`."""
     return name.startswith(("face_", "vertex_"))
 
 
@@ -145,7 +145,7 @@ def make_attribute_class() -> type:
                 )
 
         def place_by(self, texcoords: np.ndarray | None) -> None:
-            """Tell the texture coordinates ``(P, 3, 2)`` of the shape, None for parameters."""
+            """Take over the texture coordinates ``(P, 3, 2)`` of the shape, None for parameters."""
             if texcoords is None or self.degree == 0:
                 self.back = None
             else:

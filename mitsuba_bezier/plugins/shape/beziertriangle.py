@@ -13,7 +13,7 @@ from ...errors import BezierError, NetError
 from ...geometry.proper_nets import spans_area
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
-from ..copies import read_copies
+from ..instances import read_instances
 from ..native.sensors import watch
 from ..projections import read_projection
 from ..section import read_section
@@ -63,12 +63,12 @@ def make_shape_class() -> type:
          * - to_world
            - |transform|
            - Affine map from object to world space (Default: none, |exposed|).
-         * - copies
+         * - instances
            - |tensor|
            - Affine maps of shape ``(N, 3, 4)`` or ``(N, 4, 4)``: the surface appears `N` times,
              each map applied after `to_world`, and takes the memory of one (Default: once, as it
-             is). Shapes with copies cannot carry an emitter.
-         * - copies_filename
+             is). Shapes with instances cannot carry an emitter.
+         * - instances_filename
            - |string|
            - A ``.npy`` file of these maps instead, or a text file with twelve numbers a line.
          * - section
@@ -124,7 +124,7 @@ def make_shape_class() -> type:
             flip = props.get("flip_normals", False)
             if not isinstance(flip, bool):
                 raise BezierError.expected("flip_normals", "true or false", repr(flip))
-            copies = read_copies(props)
+            instances = read_instances(props)
             #: The plane that cuts it, the number of its body, and whether it is that body's cap.
             self.section, self.body, self.cap = read_section(props)
             #: Name of the projection that texture coordinates come from, or None.
@@ -145,15 +145,15 @@ def make_shape_class() -> type:
                     "one that sits on a surface, as area does",
                     f"{emitter.class_name()}; put it beside the shape",
                 )
-            if emitter is not None and copies is not None:
-                raise BezierError.expected("emitter", "none on a shape with copies", "one")
+            if emitter is not None and instances is not None:
+                raise BezierError.expected("emitter", "none on a shape with instances", "one")
             if self.sensor() is not None:
-                if copies is not None:
-                    raise BezierError.expected("sensor", "none on a shape with copies", "one")
+                if instances is not None:
+                    raise BezierError.expected("sensor", "none on a shape with instances", "one")
                 watch(self.sensor(), "irradiancemeter", self)
             self._need_area(patches)
             #: The patches and what follows from them.
-            self.state = PatchState(patches, matrix, flip, trims, copies)
+            self.state = PatchState(patches, matrix, flip, trims, instances)
             self.control_points = _tensor(self.state.exposed)
             self.to_world = mi.Transform4f(mi.Matrix4f(matrix.tolist()))
             #: Texture coordinates at the corners (P, 3, 2), or None.
@@ -217,8 +217,8 @@ def make_shape_class() -> type:
             return self.state.trims
 
         @property
-        def copies(self) -> np.ndarray | None:
-            """Maps ``(N, 4, 4)`` of the copies, or None."""
+        def instances(self) -> np.ndarray | None:
+            """Maps ``(N, 4, 4)`` of the instances, or None."""
             return self.state.instances
 
         def _need_parameters(self, name: str) -> None:

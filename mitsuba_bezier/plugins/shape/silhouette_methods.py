@@ -3,7 +3,7 @@
 Samples are `mi.SilhouetteSample3f`. Their ``uv`` are the parameters in the patch ``prim_index``,
 whatever texture coordinates the shape has; ``n`` points away from the surface, across ``d`` and
 the curve, also where the normal of the surface points the other way; ``projection_index`` is the
-segment of an edge. Shapes that have copies or are trimmed raise `BezierError`.
+segment of an edge. Shapes that have instances or are trimmed raise `BezierError`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Many copies of objects under affine maps: a tree of copies over the trees of the objects."""
+"""Intersect rays with instances of objects under affine maps: a BVH over those of the objects."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ from .structure import Structure
 from .traverse import finish, search
 from .walk import BvhRays, begin, begin_at_root, next_leaf, prepare
 
-__all__ = ["Copies", "build_copies", "intersect_copies"]
+__all__ = ["Instances", "build_instances", "intersect_instances"]
 
-#: A copy: a ball around it in space, the inverse map about its centre, the first node of the BVH of
-#: its object, and 1 if the root of that is a leaf.
-COPY = Record(
+#: An instance: a ball around it in space, the inverse map about its centre, the first node of the
+#: BVH of its object, and 1 if the root of that is a leaf.
+INSTANCE = Record(
     np.float32, centre=(3,), radius=(), rows=(3, 3), middle=(3,), first=bits(), single=bits()
 )
 
 
 @dataclass
-class Copies:
-    """The copies of some objects."""
+class Instances:
+    """The instances of some objects."""
 
     structure: Structure  #: of the objects
-    nodes: Nodes  #: the tree of the copies
-    records: Any  #: Float32, x `COPY`
+    nodes: Nodes  #: the BVH of the instances
+    records: Any  #: Float32, x `INSTANCE`
     count: int
-    bytes: int  #: of the copies, without the objects
+    bytes: int  #: of the instances, without the objects
 
 
-def build_copies(
+def build_instances(
     structure: Structure, boxes: np.ndarray, objects: np.ndarray, matrices: np.ndarray, like: Any
-) -> Copies:
-    """Build the tree of copies.
+) -> Instances:
+    """Build the BVH of instances.
 
     Parameters
     ----------
     structure : Structure
         Of the objects, built with `objects`.
     boxes : (N, 2, 3) array
-        A finite box around each copy.
+        A finite box around each instance.
     objects : (N,) int array
-        Which object it is a copy of.
+        Which object it is an instance of.
     matrices : (N, 4, 4) array
         Affine maps from object to space.
     like : Float
@@ -58,7 +58,7 @@ def build_copies(
     nodes = build_nodes(boxes, ty)
     centre = boxes.mean(axis=1).astype(np.float32).astype(np.float64)
     inverse = np.linalg.inv(matrices)
-    out = COPY.pack(
+    out = INSTANCE.pack(
         len(boxes),
         centre=centre,
         # rounded up: rays are traced from in front of the ball
@@ -68,7 +68,7 @@ def build_copies(
         first=structure.nodes.first[objects],
         single=structure.nodes.single[objects],
     )
-    return Copies(
+    return Instances(
         structure=structure,
         nodes=nodes,
         records=upload(ty.Float32, out),
@@ -77,18 +77,18 @@ def build_copies(
     )
 
 
-def intersect_copies(
-    c: Copies, o: Any, d: Any, t_max: Any, active: Any = True, any_hit: bool = False
+def intersect_instances(
+    c: Instances, o: Any, d: Any, t_max: Any, active: Any = True, any_hit: bool = False
 ) -> tuple[Hit, Any]:
-    """Intersect rays with all copies; see `traverse.intersect`.
+    """Intersect rays with all instances; see `traverse.intersect`.
 
-    A ray is taken to an object's space from its point in front of the copy, which is found in
-    float64: so a copy far from the origin, or from the camera, is as exact as one that is not.
+    A ray is taken to an object's space from its point in front of the instance, which is found in
+    float64: so an instance far from the origin, or from the camera, is as exact as one that is not.
 
     Returns
     -------
     hit : Hit
-    copy : UInt
+    instance : UInt
     """
     s = c.structure
     ty = types_of(o[0])
@@ -101,10 +101,10 @@ def intersect_copies(
     inv_length2 = reciprocal(dot3(d, d))
     inv_length = dr.sqrt(inv_length2)
 
-    def body(run: Any, walk: Any, nearest: Any, copy: Any) -> Any:
+    def body(run: Any, walk: Any, nearest: Any, instance: Any) -> Any:
         walk, index = next_leaf(bvh, walk, nearest.t, run)
         found = run & (index != NO_LEAF)
-        m = COPY.gather(c.records, index, found)
+        m = INSTANCE.gather(c.records, index, found)
         away = [f64(m.centre[i]) - f64(o[i]) for i in range(3)]
         ahead = ty.Float(dot3(away, [f64(x) for x in d])) * inv_length2
         start = dr.maximum(ahead - m.radius * inv_length, 0.0)
@@ -118,18 +118,18 @@ def intersect_copies(
         accept = found & (there.leaf != NO_LEAF)
         t = ty.Float(f64(start) + f64(there.t))
         nearest = nearest.updated(Found(accept, t, there.u, there.v, there.leaf))
-        copy = dr.select(accept, index, copy)
+        instance = dr.select(accept, index, instance)
         run = run & walk.goes_on()
         if any_hit:
             run = run & (nearest.leaf == NO_LEAF)
-        return run, walk, nearest, copy
+        return run, walk, nearest, instance
 
     active = active & start_of_walk.goes_on()
-    _run, _walk, nearest, copy = dr.while_loop(
+    _run, _walk, nearest, instance = dr.while_loop(
         (active, start_of_walk, Nearest.none(ty, rays.t_max), dr.zeros(ty.UInt)),
         cond=lambda *st: st[0],
         body=body,
-        labels=("run", "walk", "nearest", "copy"),
-        label="bezier copies",
+        labels=("run", "walk", "nearest", "instance"),
+        label="bezier instances",
     )
-    return finish(query, nearest, active), copy
+    return finish(query, nearest, active), instance

@@ -1,4 +1,4 @@
-"""Copies of a shape: the same picture as as many shapes, in the memory of one."""
+"""Instances of a shape: the same picture as as many shapes, in the memory of one."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def tensor(values: np.ndarray):
 
 
 def scenes(patches: mb.BezierTriangles, matrices: np.ndarray, **more):
-    """Return a scene of copies and one of as many shapes."""
+    """Return a scene of instances and one of as many shapes."""
     once = mi.load_dict(
-        {"type": "scene", "s": {**bezier(patches), "copies": tensor(matrices), **more}}
+        {"type": "scene", "s": {**bezier(patches), "instances": tensor(matrices), **more}}
     )
     apart = mb.BezierTriangles.join([patches.transform(m) for m in matrices])
     many = mi.load_dict({"type": "scene", "s": {**bezier(apart), **more}})
@@ -65,7 +65,7 @@ def rays(count: int, reach: float = 20.0, seed: int = 2):
     [mb.sphere(), mb.sphere(cover="tetrahedral"), WAVY],
     ids=["octants", "tetrahedral", "wavy"],
 )
-def test_copies_are_what_as_many_shapes_are(patches):
+def test_instances_are_what_as_many_shapes_are(patches):
     once, many = scenes(patches, maps(40))
     ray = rays(20000)
     a, b = mb.ray_intersect(once, ray), mb.ray_intersect(many, ray)
@@ -79,7 +79,7 @@ def test_copies_are_what_as_many_shapes_are(patches):
     assert same.mean() > 0.9995
     for name, tolerance in (("p", 1e-4), ("n", 1e-3), ("dp_du", 1e-3)):
         x, y = (np.array(getattr(si, name)).T[both][same] for si in (a, b))
-        # mirrored: joined nets turn their normals with u and v, a copy keeps its outside out
+        # mirrored: joined nets turn their normals with u and v, an instance keeps its outside out
         error = np.minimum(np.abs(x - y), np.abs(x + y)) if name == "n" else np.abs(x - y)
         assert np.quantile(error.max(axis=1), 0.999) < tolerance, name
     assert (np.array(mb.ray_test(once, ray)) == hit).all()
@@ -90,14 +90,14 @@ def test_copies_are_what_as_many_shapes_are(patches):
     assert np.abs((n * dp).sum(axis=1)).max() < 1e-5 * np.abs(dp).max()
 
 
-def test_outside_stays_out_in_mirrored_copies():
+def test_outside_stays_out_in_mirrored_instances():
     mirrored = maps(30)
     mirrored[:, :3, :3] *= np.sign(np.linalg.det(mirrored[:, :3, :3]))[:, None, None]
     mirrored[::2, :3, 0] *= -1
     once, _many = scenes(mb.sphere(), mirrored)
     si = mb.ray_intersect(once, rays(5000, 60))
     valid = np.array(si.is_valid())
-    # from far outside of convex copies each first hit is on an outside
+    # from far outside of convex instances each first hit is on an outside
     assert (np.array(si.wi.z)[valid] > 0).all() and valid.sum() > 500
 
 
@@ -122,7 +122,7 @@ def test_partials_of_normals():
     assert np.median(error) < 0.01 and found.sum() > 50
 
 
-def test_copies_far_away_are_as_exact():
+def test_instances_far_away_are_as_exact():
     far = np.eye(4)
     far[:3, 3] = (8192, -4096, 2048)  # so that the rays are exact
     once, _many = scenes(mb.sphere(), far[None])
@@ -142,13 +142,13 @@ def test_copies_far_away_are_as_exact():
     assert error[exact].max(initial=0) < 1e-6
 
 
-def test_with_other_shapes_and_shapes_without_copies():
+def test_with_other_shapes_and_shapes_without_instances():
     matrices = maps(20)
     scene = mi.load_dict(
         {
             "type": "scene",
-            "copies": {**bezier(mb.sphere()), "copies": tensor(matrices)},
-            "more": {**bezier(WAVY), "copies": tensor(maps(10, seed=7))},
+            "instances": {**bezier(mb.sphere()), "instances": tensor(matrices)},
+            "more": {**bezier(WAVY), "instances": tensor(maps(10, seed=7))},
             "one": bezier(mb.torus()),
             "native": {"type": "sphere", "center": [4, 4, 4], "radius": 3},
         }
@@ -172,12 +172,14 @@ def test_with_other_shapes_and_shapes_without_copies():
 
 def test_memory_is_that_of_one():
     matrices = maps(2000)
-    once = mi.load_dict({"type": "scene", "s": {**bezier(mb.torus()), "copies": tensor(matrices)}})
+    once = mi.load_dict(
+        {"type": "scene", "s": {**bezier(mb.torus()), "instances": tensor(matrices)}}
+    )
     one = mi.load_dict({"type": "scene", "s": bezier(mb.torus())})
     data, single = data_for_scene(once), data_for_scene(one)
     assert data.structure is None
     # a record, eight times two nodes, and the map
-    assert data.copies.bytes - single.structure.bytes < 2000 * 700
+    assert data.instances.bytes - single.structure.bytes < 2000 * 700
     assert mi.traverse(once)["s.control_points"].shape[0] == len(mb.torus())
 
 
@@ -206,7 +208,7 @@ def test_a_picture():
 
 def test_surface_area():
     matrices = maps(5)
-    shape = mi.load_dict({**bezier(mb.sphere()), "copies": tensor(matrices)})
+    shape = mi.load_dict({**bezier(mb.sphere()), "instances": tensor(matrices)})
     expected = sum(mb.sphere().transform(m).area().sum() for m in matrices)
     assert shape.surface_area()[0] == pytest.approx(expected, rel=1e-6)
 
@@ -214,31 +216,31 @@ def test_surface_area():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (np.zeros((2, 3, 3)), r"copies.*shape \(2, 3, 3\)"),
-        (np.zeros((1, 3, 4)), "copies.*regular.*map 0"),
-        (np.full((1, 4, 4), np.nan), "copies.*finite"),
-        (np.eye(4)[None] * 2, "copies.*affine"),
+        (np.zeros((2, 3, 3)), r"instances.*shape \(2, 3, 3\)"),
+        (np.zeros((1, 3, 4)), "instances.*regular.*map 0"),
+        (np.full((1, 4, 4), np.nan), "instances.*finite"),
+        (np.eye(4)[None] * 2, "instances.*affine"),
     ],
 )
 def test_bad_maps(values, words):
     with pytest.raises(RuntimeError, match=words):
-        mi.load_dict({**bezier(mb.sphere()), "copies": tensor(values)})
+        mi.load_dict({**bezier(mb.sphere()), "instances": tensor(values)})
 
 
 def test_bad_use(tmp_path):
     eye = tensor(np.eye(4)[None])
     with pytest.raises(RuntimeError, match="emitter"):
-        mi.load_dict({**bezier(mb.sphere()), "copies": eye, "e": {"type": "area"}})
-    with pytest.raises(RuntimeError, match=r"copies.*infinity"):
+        mi.load_dict({**bezier(mb.sphere()), "instances": eye, "e": {"type": "area"}})
+    with pytest.raises(RuntimeError, match=r"instances.*infinity"):
         plane = mb.BezierTriangles([[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]]])
-        mi.load_dict({**bezier(plane), "copies": eye})
-    shape = mi.load_dict({**bezier(mb.sphere()), "copies": eye})
-    with pytest.raises(BezierError, match="without copies"):
+        mi.load_dict({**bezier(plane), "instances": eye})
+    shape = mi.load_dict({**bezier(mb.sphere()), "instances": eye})
+    with pytest.raises(BezierError, match="without instances"):
         shape.sample_position(0, mi.Point2f(0.5, 0.5))
-    with pytest.raises(RuntimeError, match="copies_filename"):
-        mi.load_dict({**bezier(mb.sphere()), "copies_filename": str(tmp_path / "none.npy")})
+    with pytest.raises(RuntimeError, match="instances_filename"):
+        mi.load_dict({**bezier(mb.sphere()), "instances_filename": str(tmp_path / "none.npy")})
     np.save(tmp_path / "maps.npy", maps(3))
     np.savetxt(tmp_path / "maps.txt", maps(3)[:, :3].reshape(3, 12))
     for name in ("maps.npy", "maps.txt"):
-        shape = mi.load_dict({**bezier(mb.sphere()), "copies_filename": str(tmp_path / name)})
-        assert np.allclose(shape.copies, maps(3))
+        shape = mi.load_dict({**bezier(mb.sphere()), "instances_filename": str(tmp_path / name)})
+        assert np.allclose(shape.instances, maps(3))

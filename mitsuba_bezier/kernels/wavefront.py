@@ -1,4 +1,4 @@
-"""Queries with many rays, in memory, that have little in common.
+"""Intersect many incoherent rays, in memory, as a wavefront.
 
 In `traverse.intersect` each ray has a lane, and a packet of lanes goes on until its last ray is
 done: where neighbours go different ways most lanes wait. Here a lane takes the next ray of its
@@ -23,28 +23,28 @@ from .structure import Structure
 from .traverse import cull_leaf, finish, intersect, meet, search, take_candidate
 from .walk import BvhRays, Slabs, Walk, begin, prepare, walk_to_leaves
 
-__all__ = ["intersect_batch", "is_worthwhile", "query"]
+__all__ = ["intersect_wavefront", "is_worthwhile", "query"]
 
 #: Fewer rays are left to `traverse`, at the beginning and at the end: each launch takes its time.
-_FEW = 1 << 16
-#: As often all rays are taken to their next leaf; few are left then, and these have much to do.
-_ROUNDS = 3
-#: After so many nodes without a leaf the lanes of a packet look at the leaves of the others. 2 to
+_MIN_RAYS = 1 << 16
+#: All rays are taken to their next leaf this often; few are left then, and these have much to do.
+_MAX_ROUNDS = 3
+#: After this many nodes without a leaf the lanes of a packet look at the leaves of the others. 2 to
 #: 6 are alike.
-_NODES = 3
+_MAX_NODES = 3
 #: The rays of one packet at a time are neighbours; a share is as many for each of its lanes.
 _PACKET = 16
-_SHARE = 64
-#: So many rays are traced at once, at most, for the memory that they take.
-_AT_ONCE = 1 << 24
+_RAYS_A_LANE = 64
+#: At most this many rays are traced at once, for the memory that they take.
+_MAX_RAYS = 1 << 24
 #: Trees of fewer leaves are walked in a few steps; and where all are closed forms, of fewer groups:
 #: that is where it pays.
-_FEW_LEAVES = 8
-_FEW_GROUPS = 100
-#: Rays have little in common if neighbours are so far apart, see `_distance`.
-_APART = 0.05
-#: So many pairs of neighbours are looked at.
-_SAMPLES = 4096
+_MIN_LEAVES = 8
+_MIN_GROUPS = 100
+#: Rays are incoherent if neighbours are this far apart, see `_distance`.
+_MIN_DISTANCE = 0.05
+#: This many pairs of neighbours are looked at.
+_SAMPLED_PAIRS = 4096
 
 #: In place of a leaf's number: the ray certainly hits it, which is all that is asked.
 _CERTAIN = NO_LEAF - 1
@@ -68,16 +68,16 @@ def query(
         Whether neighbours among the rays are known to have much in common.
     """
     if not coherent and is_worthwhile(s, o, d):
-        return intersect_batch(s, o, d, t_max, active, any_hit)
+        return intersect_wavefront(s, o, d, t_max, active, any_hit)
     return intersect(s, o, d, t_max, active, any_hit)
 
 
 def is_worthwhile(s: Structure, o: list[Any], d: list[Any]) -> bool:
-    """Tell whether rays are many, in memory and apart, and there are leaves to find.
+    """Return whether rays are many, in memory and incoherent, and there are leaves to find.
 
     Never inside of a recorded loop or function, where there is no memory to look at.
     """
-    if s.group_count < _FEW_GROUPS and (not s.has_graphs or s.leaf_count < _FEW_LEAVES):
+    if s.group_count < _MIN_GROUPS and (not s.has_graphs or s.leaf_count < _MIN_LEAVES):
         return False
     if any(dr.flag(flag) for flag in _RECORDING):
         return False
@@ -86,18 +86,18 @@ def is_worthwhile(s: Structure, o: list[Any], d: list[Any]) -> bool:
     if dr.backend_v(ty.Float) != dr.JitBackend.LLVM:
         return False
     rays = [*o, *d]
-    if max(dr.width(x) for x in rays) < _FEW:
+    if max(dr.width(x) for x in rays) < _MIN_RAYS:
         return False
     known = (dr.VarState.Evaluated, dr.VarState.Literal)
-    return all(x.state in known for x in rays) and _distance(s, ty, o, d) > _APART
+    return all(x.state in known for x in rays) and _distance(s, ty, o, d) > _MIN_DISTANCE
 
 
-def intersect_batch(
+def intersect_wavefront(
     s: Structure, o: Any, d: Any, t_max: Any, active: Any = True, any_hit: bool = False
 ) -> Hit:
     """Intersect rays with all leaves; see `traverse.intersect`.
 
-    Takes some 80 bytes a ray while it is at work, but not for more than `_AT_ONCE` rays.
+    Takes some 80 bytes a ray while it is at work, but not for more than `_MAX_RAYS` rays.
     """
     ty = types_of(o[0])
     count = max(dr.width(x) for x in (*o, *d, t_max, active))
@@ -112,8 +112,8 @@ def intersect_batch(
     leaf, u, v = dr.full(ty.UInt, NO_LEAF, count), *(dr.zeros(ty.Float, count) for _ in range(2))
     nearest = _Nearest(_in_memory(t, count), leaf, u, v)
     dr.make_opaque(rays.o, rays.d, nearest)
-    for start in range(0, count, _AT_ONCE):
-        queue = _Queue(min(_AT_ONCE, count - start))
+    for start in range(0, count, _MAX_RAYS):
+        queue = _Queue(min(_MAX_RAYS, count - start))
         if queue.count < count:
             queue.ray = dr.arange(ty.UInt, queue.count) + dr.opaque(ty.UInt, start)
             dr.eval(queue.ray)
@@ -163,7 +163,7 @@ class _Lane:
 def _trace(query: Query, rays: _Rays, nearest: _Nearest, queue: _Queue) -> None:
     """Trace the rays of a queue."""
     s, ty = query.s, query.ty
-    for _round in range(_ROUNDS):
+    for _round in range(_MAX_ROUNDS):
         found, walk = _walk_to_candidates(query, rays, nearest.t, queue)
         if query.ends_where_certain:
             ray = dr.arange(ty.UInt, queue.count) if queue.ray is None else queue.ray
@@ -187,7 +187,7 @@ def _trace(query: Query, rays: _Rays, nearest: _Nearest, queue: _Queue) -> None:
         walk = Walk(*(dr.gather(type(x), x, place) for _k, x in _fields(walk)))
         dr.eval(ray, walk)
         queue = _Queue(dr.width(rest), ray, walk)
-        if queue.count < _FEW:
+        if queue.count < _MIN_RAYS:
             break
     those = rays.at(queue.ray, nearest.t)
     bvh = BvhRays(s.nodes, ty, ty.UInt(0), prepare(ty, those.o, those.d))
@@ -209,7 +209,7 @@ def _walk_to_candidates(query: Query, rays: _Rays, t: Any, queue: _Queue) -> tup
     s, ty = query.s, query.ty
     count = queue.count
     # at least a hundred packets for each thread, so that none waits for long
-    share = max(1, min(_SHARE, count // (100 * _PACKET * dr.thread_count())))
+    share = max(1, min(_RAYS_A_LANE, count // (100 * _PACKET * dr.thread_count())))
     lanes = -(-count // (share * _PACKET)) * _PACKET
     lane = dr.arange(ty.UInt, lanes)
     # data, not code: a kernel serves all counts
@@ -254,7 +254,7 @@ def _walk_to_candidates(query: Query, rays: _Rays, t: Any, queue: _Queue) -> tup
         )
         run = run & (lane.place != NO_LEAF)
         bvh = BvhRays(s.nodes, ty, first, lane.slabs)
-        walk = walk_to_leaves(bvh, lane.walk, lane.rays.t_max, run, _NODES)
+        walk = walk_to_leaves(bvh, lane.walk, lane.rays.t_max, run, _MAX_NODES)
 
         def look(walk: Any, those: Any) -> Any:
             leaves, leaf, line = take_candidate(query, bvh, those, walk.leaves, run)
@@ -281,7 +281,7 @@ def _walk_to_candidates(query: Query, rays: _Rays, t: Any, queue: _Queue) -> tup
         cond=lambda run, _lane: run,
         body=body,
         labels=("run", "lane"),
-        label="bezier batch",
+        label="bezier wavefront",
     )
     dr.eval(leaf_out, walk_out)
     return leaf_out, walk_out
@@ -310,7 +310,7 @@ def _distance(s: Structure, ty: Types, o: list[Any], d: list[Any]) -> float:
     count = max(dr.width(x) for x in (*o, *d))
     low, high = s.nodes.bounds[:3], s.nodes.bounds[3:]
     diagonal2 = dot3(*[[high[a] - low[a] for a in range(3)]] * 2)
-    samples = min(_SAMPLES, count // 2)
+    samples = min(_SAMPLED_PAIRS, count // 2)
     first = dr.arange(ty.UInt, samples) * dr.opaque(ty.UInt, count // samples)
 
     def ray(number: Any) -> Any:

@@ -14,7 +14,7 @@ from mitsuba_cases import ball_rays, bezier, camera_rays, ray_of
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.trims import Trims, square_map
-from mitsuba_bezier.kernels import batch, nodes
+from mitsuba_bezier.kernels import nodes, wavefront
 from mitsuba_bezier.kernels.arrays import upload
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import Hit, intersect
@@ -33,9 +33,9 @@ def variant() -> None:
 @pytest.fixture
 def small(monkeypatch) -> None:
     """Let all rounds be done, lanes take several rays and arrays be cut, with few rays."""
-    monkeypatch.setattr(batch, "_FEW", 16)
-    monkeypatch.setattr(batch, "_SHARE", 5)
-    monkeypatch.setattr(batch, "_AT_ONCE", 8000)
+    monkeypatch.setattr(wavefront, "_MIN_RAYS", 16)
+    monkeypatch.setattr(wavefront, "_RAYS_A_LANE", 5)
+    monkeypatch.setattr(wavefront, "_MAX_RAYS", 8000)
     monkeypatch.setattr(dr, "thread_count", lambda: 1)
 
 
@@ -105,7 +105,7 @@ def test_the_same_hits(small, name, any_hit):
     assert structure.has(LeafKind.GRAPH_PROJECTIVE) == (name in ("infinity", "two kinds"))
     rays = columns(*random_rays(COUNT))
     expected = intersect(structure, *rays, Float(np.inf), any_hit=any_hit)
-    found = batch.intersect_batch(structure, *rays, Float(np.inf), any_hit=any_hit)
+    found = wavefront.intersect_wavefront(structure, *rays, Float(np.inf), any_hit=any_hit)
     share = assert_same(found, expected, any_hit).mean()
     assert share > 0.2  # of hits
 
@@ -115,7 +115,7 @@ def test_a_deep_tree(small, monkeypatch):
     structure = build_structure(build_leaves(mb.torus()), Float)
     assert structure.nodes.deep
     rays = columns(*random_rays(COUNT))
-    found = batch.intersect_batch(structure, *rays, Float(np.inf))
+    found = wavefront.intersect_wavefront(structure, *rays, Float(np.inf))
     assert assert_same(found, intersect(structure, *rays, Float(np.inf)), False).any()
 
 
@@ -130,7 +130,7 @@ def test_trimmed_leaves(small, tmp_path):
     structure = shape._alone().structure
     assert structure.trim is not None
     rays = columns(*random_rays(COUNT))
-    found = batch.intersect_batch(structure, *rays, Float(np.inf))
+    found = wavefront.intersect_wavefront(structure, *rays, Float(np.inf))
     valid = assert_same(found, intersect(structure, *rays, Float(np.inf)), False)
     whole = intersect(build_structure(build_leaves(patches), Float), *rays, Float(np.inf))
     assert 0 < valid.sum() < np.array(whole.valid).sum()
@@ -140,7 +140,7 @@ def test_trimmed_leaves(small, tmp_path):
 def test_any_number_of_rays(small, count):
     structure = build_structure(build_leaves(mb.sphere(), GENERAL), Float)
     rays = columns(*random_rays(count, seed=count))
-    found = batch.intersect_batch(structure, *rays, Float(np.inf))
+    found = wavefront.intersect_wavefront(structure, *rays, Float(np.inf))
     assert_same(found, intersect(structure, *rays, Float(np.inf)), False)
 
 
@@ -154,7 +154,7 @@ def test_rays_with_ends_and_rays_that_are_none(small):
     active = mi.Bool(rng.random(COUNT) < 0.7)
     before = np.array(t_max)
     for any_hit in (False, True):
-        found = batch.intersect_batch(structure, *rays, t_max, active, any_hit)
+        found = wavefront.intersect_wavefront(structure, *rays, t_max, active, any_hit)
         expected = intersect(structure, *rays, t_max, active, any_hit)
         valid = assert_same(found, expected, any_hit)
         assert valid.any() and not valid[5:9].any() and not valid[~np.array(active)].any()
@@ -165,7 +165,7 @@ def test_rays_with_a_part_in_common(small):
     structure = build_structure(build_leaves(mb.torus()), Float)
     _o, d = columns(*random_rays(COUNT))
     o = [Float(0.1), Float(-0.2), Float(3.0)]
-    found = batch.intersect_batch(structure, o, d, Float(np.inf))
+    found = wavefront.intersect_wavefront(structure, o, d, Float(np.inf))
     assert assert_same(found, intersect(structure, o, d, Float(np.inf)), False).any()
 
 
@@ -176,7 +176,7 @@ def test_kernels_serve_all_counts(small):
         rays = columns(*random_rays(count))
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
             dr.kernel_history_clear()
-            dr.eval(*batch.intersect_batch(structure, *rays, Float(np.inf)))
+            dr.eval(*wavefront.intersect_wavefront(structure, *rays, Float(np.inf)))
             dr.sync_thread()
             kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
         used.append({k["hash"] for k in kernels})
@@ -191,13 +191,13 @@ def test_kernels_serve_all_counts(small):
 def batches(monkeypatch) -> list[int]:
     """The numbers of rays that were asked for at once."""
     made: list[int] = []
-    original = batch.intersect_batch
+    original = wavefront.intersect_wavefront
 
     def spy(s, o, d, t_max, active=True, any_hit=False):
         made.append(max(dr.width(x) for x in (*o, *d)))
         return original(s, o, d, t_max, active, any_hit)
 
-    monkeypatch.setattr(batch, "intersect_batch", spy)
+    monkeypatch.setattr(wavefront, "intersect_wavefront", spy)
     return made
 
 
@@ -213,29 +213,31 @@ def in_memory(o: np.ndarray, d: np.ndarray) -> Any:
 
 
 def test_where_it_is_worthwhile():
-    rays = columns(*random_rays(batch._FEW))
+    rays = columns(*random_rays(wavefront._MIN_RAYS))
     dr.eval(rays)
     structures = {
         "one quadric": build_leaves(mb.sphere(cover="tetrahedral")),
-        "some": balls(batch._FEW_GROUPS - 1),
-        "many": balls(batch._FEW_GROUPS),
-        "few leaves": build_leaves(mb.sphere(), GENERAL).select(np.arange(batch._FEW_LEAVES - 1)),
+        "some": balls(wavefront._MIN_GROUPS - 1),
+        "many": balls(wavefront._MIN_GROUPS),
+        "few leaves": build_leaves(mb.sphere(), GENERAL).select(
+            np.arange(wavefront._MIN_LEAVES - 1)
+        ),
         "leaves": build_leaves(mb.sphere(), GENERAL),
     }
     asked = {
-        name: batch.is_worthwhile(build_structure(leaves, Float), *rays)
+        name: wavefront.is_worthwhile(build_structure(leaves, Float), *rays)
         for name, leaves in structures.items()
     }
     assert [name for name, yes in asked.items() if yes] == ["many", "leaves"]
 
 
 def test_many_rays_that_go_apart(torus, batches):
-    ray = in_memory(*random_rays(batch._FEW))
+    ray = in_memory(*random_rays(wavefront._MIN_RAYS))
     together = torus._alone().preliminary(ray, True, None, True).pi
     assert not batches  # told that they go together
     pi = torus.ray_intersect_preliminary(ray)
     hit = torus.ray_test(ray)
-    assert batches == [batch._FEW] * 2
+    assert batches == [wavefront._MIN_RAYS] * 2
     valid = np.isfinite(np.array(pi.t))
     assert 0.2 < valid.mean() < 0.8
     np.testing.assert_array_equal(np.array(hit), valid)
@@ -245,14 +247,14 @@ def test_many_rays_that_go_apart(torus, batches):
 
 
 def test_rays_of_a_camera_and_few_rays(torus, batches):
-    side = int(np.sqrt(batch._FEW))
+    side = int(np.sqrt(wavefront._MIN_RAYS))
     torus.ray_intersect_preliminary(in_memory(*camera_rays((0, 1, 3), side)))
-    torus.ray_intersect_preliminary(in_memory(*random_rays(batch._FEW - 1)))
+    torus.ray_intersect_preliminary(in_memory(*random_rays(wavefront._MIN_RAYS - 1)))
     assert not batches
 
 
 def test_rays_that_are_not_in_memory(torus, batches):
-    ray = in_memory(*random_rays(batch._FEW))
+    ray = in_memory(*random_rays(wavefront._MIN_RAYS))
     ray.o = ray.o + 0.01 * mi.Vector3f(ray.o.y, ray.o.z, ray.o.x)
     torus.ray_intersect_preliminary(ray)
     assert not batches
@@ -261,15 +263,15 @@ def test_rays_that_are_not_in_memory(torus, batches):
         hit = torus.ray_intersect_preliminary(in_memory_ray)
         return k + 1, dr.minimum(t, hit.t)
 
-    in_memory_ray = in_memory(*random_rays(batch._FEW))
-    count = dr.zeros(UInt, batch._FEW)
+    in_memory_ray = in_memory(*random_rays(wavefront._MIN_RAYS))
+    count = dr.zeros(UInt, wavefront._MIN_RAYS)
     dr.while_loop((mi.UInt32(count), mi.Float(4.0)), lambda k, _t: k < 2, body)
     assert not batches
 
 
 def test_closed_forms_have_their_own_way(batches):
     sphere = mi.load_dict(bezier(mb.sphere()))
-    sphere.ray_intersect_preliminary(in_memory(*random_rays(batch._FEW)))
+    sphere.ray_intersect_preliminary(in_memory(*random_rays(wavefront._MIN_RAYS)))
     assert not batches
 
 
@@ -281,9 +283,9 @@ def test_in_a_scene_with_other_shapes(batches):
             "ball": {"type": "sphere", "radius": 0.5},
         }
     )
-    o, d = random_rays(batch._FEW)
+    o, d = random_rays(wavefront._MIN_RAYS)
     si = mb.ray_intersect(scene, in_memory(o, d))
-    assert batches == [batch._FEW]
+    assert batches == [wavefront._MIN_RAYS]
     told = mb.ray_intersect(scene, in_memory(o, d), coherent=True)
     assert len(batches) == 1
     np.testing.assert_array_equal(np.array(si.t), np.array(told.t))
@@ -297,5 +299,5 @@ def test_scenes_without_end(batches):
     structure = cone._alone().structure
     if not structure.has_graphs:
         structure = build_structure(build_leaves(mb.hyperboloid_one_sheet(), GENERAL), Float)
-    o, d = columns(*random_rays(batch._FEW))
-    assert 0.0 <= batch._distance(structure, batch.types_of(Float), o, d) <= 1.0
+    o, d = columns(*random_rays(wavefront._MIN_RAYS))
+    assert 0.0 <= wavefront._distance(structure, wavefront.types_of(Float), o, d) <= 1.0

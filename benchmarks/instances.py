@@ -1,6 +1,6 @@
-"""Measure what many copies of a model cost: ``python benchmarks/copies.py``.
+"""Measure what many instances of a model cost: ``python benchmarks/instances.py``.
 
-Renders 10 000 copies of the teapot that share one net, and 20 tessellated teapots, each in its
+Renders 10 000 instances of the teapot that share one net, and 20 tessellated teapots, each in its
 own process, and prints the peak memory of both beyond that of an empty scene.
 """
 
@@ -21,7 +21,7 @@ from rich.table import Table
 import mitsuba_bezier as mb  # before anything imports Dr.Jit
 
 TEAPOT = Path(__file__).resolve().parents[1] / "scenes" / "models" / "teapot.vtu"
-KINDS = ("empty", "copies", "meshes")
+KINDS = ("empty", "instances", "meshes")
 
 
 def render(kind: str, count: int, cuts: int) -> dict:
@@ -42,10 +42,10 @@ def render(kind: str, count: int, cuts: int) -> dict:
     maps[:, 1, 3] = 8.0 * (np.arange(count) // side - side / 2)
     scene: dict = {"type": "scene", "light": {"type": "constant"}}
     triangles = 0
-    if kind == "copies":
+    if kind == "instances":
         maps_tensor = mi.TensorXf(maps.astype(np.float32).ravel(), shape=maps.shape)
         scene["teapots"] = {"type": "beziertriangle", "filename": str(TEAPOT)}
-        scene["teapots"]["copies"] = maps_tensor
+        scene["teapots"]["instances"] = maps_tensor
     elif kind == "meshes":
         vertices, faces = mb.load(TEAPOT).tessellate(cuts)
         triangles = len(faces)
@@ -83,7 +83,7 @@ def render(kind: str, count: int, cuts: int) -> dict:
 def main() -> None:
     """Run the three scenes, each in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--count", type=int, default=10_000, help="copies (10000)")
+    parser.add_argument("--count", type=int, default=10_000, help="instances (10000)")
     parser.add_argument("--meshes", type=int, default=20, help="tessellated teapots (20)")
     parser.add_argument(
         "--cuts", type=int, default=64, help="cuts of a patch's edge; 64: 262 144 triangles (64)"

@@ -1,4 +1,4 @@
-"""Many copies of the patches of a shape, under affine maps, that share its nets and leaves."""
+"""Many instances of the patches of a shape, under affine maps, that share its nets and leaves."""
 
 from __future__ import annotations
 
@@ -10,37 +10,39 @@ import numpy as np
 
 from ..errors import BezierError, FileFormatError
 from ..kernels.arrays import gather_packets, upload
-from ..kernels.copies import build_copies, intersect_copies
+from ..kernels.instances import build_instances, intersect_instances
+from ..kernels.query import Hit
 from ..kernels.structure import build_structure
-from ..kernels.traverse import Hit
 from ..leaves.records import Leaves
 
-__all__ = ["CopyTables", "read_copies"]
+__all__ = ["InstanceTables", "read_instances"]
 
 
-def read_copies(props: mi.Properties) -> np.ndarray | None:
-    """Take the maps ``(N, 4, 4)`` of the copies from ``copies`` or ``copies_filename``.
+def read_instances(props: mi.Properties) -> np.ndarray | None:
+    """Take the maps ``(N, 4, 4)`` of the instances from ``instances`` or ``instances_filename``.
 
     Raises
     ------
     BezierError
         If they are not regular affine maps.
     """
-    has = [key for key in ("copies", "copies_filename") if key in props]
+    has = [key for key in ("instances", "instances_filename") if key in props]
     if not has:
         return None
     if len(has) == 2:
-        raise BezierError.expected("copies", "at most one of copies and copies_filename", "both")
+        raise BezierError.expected(
+            "instances", "at most one of instances and instances_filename", "both"
+        )
     value = props[has[0]]
     del props[has[0]]
-    if has == ["copies_filename"]:
+    if has == ["instances_filename"]:
         if not isinstance(value, str):
-            raise BezierError.expected("copies_filename", "the name of a file", repr(value))
+            raise BezierError.expected("instances_filename", "the name of a file", repr(value))
         values = _load(str(mi.file_resolver().resolve(value)))
     elif hasattr(value, "shape"):
         values = np.array(value, dtype=np.float64).reshape(value.shape)
     else:
-        raise BezierError.expected("copies", "a tensor of shape (N, 3, 4) or (N, 4, 4)", value)
+        raise BezierError.expected("instances", "a tensor of shape (N, 3, 4) or (N, 4, 4)", value)
     if values.ndim != 3 or values.shape[1:] not in ((3, 4), (4, 4)) or len(values) == 0:
         raise BezierError.expected(
             has[0], "at least one map, of shape (N, 3, 4) or (N, 4, 4)", f"shape {values.shape}"
@@ -66,12 +68,14 @@ def _load(path: str) -> np.ndarray:
         return np.loadtxt(path, ndmin=2).reshape(-1, 3, 4)
     except (OSError, ValueError, EOFError) as error:
         raise FileFormatError.expected(
-            "copies_filename", "a .npy file, or text with twelve numbers a line", f"{path}: {error}"
+            "instances_filename",
+            "a .npy file, or text with twelve numbers a line",
+            f"{path}: {error}",
         ) from None
 
 
-class CopyTables:
-    """The copies of all shapes of a scene that have some.
+class InstanceTables:
+    """The instances of all shapes of a scene that have some.
 
     Parameters
     ----------
@@ -80,17 +84,17 @@ class CopyTables:
     objects : (L,) int array
         The shape of each leaf, numbered among `shapes`.
     shapes : list of BezierTriangle
-        Shapes with copies.
+        Shapes with instances.
     trims : pair, optional
         See `build_structure`.
     """
 
     def __init__(self, leaves: Leaves, objects: np.ndarray, shapes: list[Any], trims: Any) -> None:
-        matrices = np.concatenate([s.copies for s in shapes])
-        which = np.repeat(np.arange(len(shapes)), [len(s.copies) for s in shapes])
+        matrices = np.concatenate([s.instances for s in shapes])
+        which = np.repeat(np.arange(len(shapes)), [len(s.instances) for s in shapes])
         boxes = np.concatenate([s.state.instance_boxes for s in shapes])
         structure = build_structure(leaves, mi.Float, trims, objects, len(shapes))
-        self.kernel = build_copies(structure, boxes, which, matrices, mi.Float)
+        self.kernel = build_instances(structure, boxes, which, matrices, mi.Float)
         rows = np.zeros((len(matrices), 16), dtype=np.float32)
         rows[:, :9] = matrices[:, :3, :3].reshape(-1, 9)
         rows[:, 9:12] = matrices[:, :3, 3]
@@ -103,7 +107,7 @@ class CopyTables:
         self, o: Any, d: Any, t_max: Any, active: Any, any_hit: bool = False
     ) -> tuple[Hit, Any]:
         """Return the hit, and the number of the copy."""
-        return intersect_copies(self.kernel, o, d, t_max, active, any_hit)
+        return intersect_instances(self.kernel, o, d, t_max, active, any_hit)
 
     def place(self, hit: Any, active: Any) -> tuple[Any, Any]:
         """Return the maps of hits, `mi.Matrix3d` and the translation `mi.Vector3d`.
@@ -111,13 +115,13 @@ class CopyTables:
         Parameters
         ----------
         hit : Preliminary
-            Its ``pi.shape_index`` is 1 + the number of the copy; 0 stands for none.
+            Its ``pi.shape_index`` is 1 + the number of the instance; 0 stands for none.
         active : Bool
         """
-        copied = hit.bezier & (hit.pi.shape_index != 0) & active
-        copy = dr.select(copied, hit.pi.shape_index - 1, 0)
-        rows = gather_packets(self.matrices, copy, 15, copied)
+        placed = hit.bezier & (hit.pi.shape_index != 0) & active
+        instance = dr.select(placed, hit.pi.shape_index - 1, 0)
+        rows = gather_packets(self.matrices, instance, 15, placed)
         a = mi.Matrix3d(*(mi.Float64(x) for x in rows[:9]))
         # float32 numbers and what they are off: a translation may be long
         b = mi.Vector3d(*(mi.Float64(rows[9 + k]) + mi.Float64(rows[12 + k]) for k in range(3)))
-        return dr.select(copied, a, dr.identity(mi.Matrix3d)), b
+        return dr.select(placed, a, dr.identity(mi.Matrix3d)), b
