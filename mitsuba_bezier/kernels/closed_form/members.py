@@ -286,7 +286,7 @@ def _barycentrics(query: Query, leaf: Any, p: list[Any], active: Any) -> tuple[A
     """
     s, ty = query.s, query.ty
     number = dr.select(active, leaf - s.first_group, 0)
-    others = [KINDS[k].at_point for k in sorted(s.kinds & CLOSED_FORMS) if KINDS[k].at_point]
+    others = [f for k in sorted(s.kinds & CLOSED_FORMS) if (f := KINDS[k].at_point) is not None]
     m = INVERSE.gather(s.inverses, number, active, None if others else "rows")
     bary = _values(m.rows, p)
     total = ty.Float(bary[0] + bary[1] + bary[2])

@@ -87,8 +87,8 @@ def sample_position(shape: Any, time: Any, sample: Any, active: Any = True) -> A
 def sample_point(shape: Any, time: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
     """Return what `sample_position` does, and the error of the point along the normal."""
     sampling, active = _sampling(shape), mi.Bool(active)
-    place = sampling.sample_parameters(mi.UInt32(0), mi.Point2f(sample), active)
-    ps, p_err = sampling.position_and_error(*place, active)
+    patch, u, v, linear = sampling.sample_parameters(mi.UInt32(0), mi.Point2f(sample), active)
+    ps, p_err = sampling.position_and_error(patch, u, v, linear, active)
     ps.time = time
     return ps, p_err
 
