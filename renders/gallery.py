@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import html
+import re
 import shlex
 import subprocess
 import sys
@@ -36,6 +37,7 @@ class Picture:
     spp: int
     caption: str
     options: tuple[str, ...] = ()
+    section: str = "lecture"
 
     def command(self, output: str, width: int, height: int, spp: int) -> list[str]:
         """Return the words of a render command."""
@@ -54,13 +56,69 @@ class Picture:
 
 
 PICTURES = (
-    Picture("teapot", "teapot", 512, 320, 512, "The Utah teapot from its 32 bicubic patches"),
-    Picture("teaset", "teaset", 512, 320, 512, "Newell's whole tea set: pot, cup, saucer, spoon"),
-    Picture("quadrics", "quadrics", 576, 324, 512, "All quadrics and a torus, on one floor"),
-    Picture("sphere", "sphere", 480, 320, 512, "Both covers of the sphere, in glass and in metal"),
-    Picture("cornell", "cornell", 320, 320, 1024, "Glass ball and torus in a Cornell box"),
-    Picture("caustic", "caustic", 512, 320, 768, "Caustics of ring, torus, lens, ball: `ptracer`"),
-    Picture("media", "media", 384, 240, 256, "Jade, fog and coloured glass: media in patches"),
+    Picture(
+        "teapot",
+        "teapot",
+        512,
+        320,
+        512,
+        "The Utah teapot from its 32 bicubic patches",
+        section="classics",
+    ),
+    Picture(
+        "teaset",
+        "teaset",
+        512,
+        320,
+        512,
+        "Newell's whole tea set: pot, cup, saucer, spoon",
+        section="classics",
+    ),
+    Picture(
+        "quadrics",
+        "quadrics",
+        576,
+        324,
+        512,
+        "All quadrics and a torus, on one floor",
+        section="classics",
+    ),
+    Picture(
+        "sphere",
+        "sphere",
+        480,
+        320,
+        512,
+        "Both covers of the sphere, in glass and in metal",
+        section="classics",
+    ),
+    Picture(
+        "cornell",
+        "cornell",
+        320,
+        320,
+        1024,
+        "Glass ball and torus in a Cornell box",
+        section="classics",
+    ),
+    Picture(
+        "caustic",
+        "caustic",
+        512,
+        320,
+        768,
+        "Caustics of ring, torus, lens, ball: `ptracer`",
+        section="classics",
+    ),
+    Picture(
+        "media",
+        "media",
+        384,
+        240,
+        256,
+        "Jade, fog and coloured glass: media in patches",
+        section="classics",
+    ),
     # models of other programs: a CAD part, a mesh of high order
     # the lecture
     Picture("railroad", "railroad", 512, 288, 128, "A plane to the horizon; rails to infinity"),
@@ -73,8 +131,24 @@ PICTURES = (
     Picture("decasteljau", "decasteljau", 512, 288, 64, "De Casteljau's scheme of a cubic"),
     Picture("farin", "farin", 512, 288, 64, "Farin points: evaluation by cross ratios"),
     Picture("relief", "relief", 512, 288, 128, "Relief perspective of a lute"),
-    Picture("cad_part", "cad_part", 512, 384, 256, "A part from a STEP file, holes cut exactly"),
-    Picture("high_order_mesh", "high_order_mesh", 512, 384, 256, "A quartic mesh from Gmsh"),
+    Picture(
+        "cad_part",
+        "cad_part",
+        512,
+        384,
+        256,
+        "A part from a STEP file, holes cut exactly",
+        section="models",
+    ),
+    Picture(
+        "high_order_mesh",
+        "high_order_mesh",
+        512,
+        384,
+        256,
+        "A quartic mesh from Gmsh",
+        section="models",
+    ),
 )
 
 
@@ -95,20 +169,56 @@ def make(picture: Picture) -> None:
         write_file(HERE / f"{picture.name}.png", png)
 
 
-def there() -> list[Picture]:
-    """Return the pictures that have been made."""
-    return [p for p in PICTURES if (HERE / f"{p.name}.png").exists()]
+#: Headings of the sections, in their order.
+SECTIONS = {
+    "classics": "Classics",
+    "lecture": "The lecture, rendered",
+    "drawn": "The lecture, drawn",
+    "models": "Models of other programs",
+    "inverse": "Inverse rendering",
+}
+
+
+def there(section: str) -> list[Picture]:
+    """Return the pictures of a section that have been made."""
+    return [p for p in PICTURES if p.section == section and (HERE / f"{p.name}.png").exists()]
+
+
+def drawn() -> list[tuple[str, str]]:
+    """Return the drawings on the lecture's page: their files, and what they show."""
+    page = (ROOT / "docs" / "lecture.md").read_text(encoding="utf-8")
+    found = re.findall(r"!\[([^\]]+)\]\(figures/([\w.]+)\)", page)
+    return [(f"../docs/figures/{file}", text) for text, file in found]
+
+
+#: What `scenes/inverse_quadric.py` makes.
+INVERSE = (
+    ("inverse_quadric.png", "A quadric found from its picture by derivatives of control points"),
+    ("inverse_quadric_loss.svg", "The loss, step by step"),
+)
+
+
+def others(section: str) -> list[tuple[str, str]]:
+    """Return pictures of a section that no render command makes: files, and what they show."""
+    known = {"drawn": drawn(), "inverse": list(INVERSE)}
+    return [(file, text) for file, text in known.get(section, []) if (HERE / file).exists()]
 
 
 def readme() -> str:
     """Return the same as Markdown."""
     parts = [_README]
-    for p in there():
-        words = shlex.join(p.preview())
-        parts.append(
-            f"## {p.name}\n\n![{p.caption}]({p.name}.png)\n\n{p.caption}; "
-            f"[EXR]({p.name}.exr)\n\n    mitsuba-bezier {words}\n"
-        )
+    for section, heading in SECTIONS.items():
+        parts.append(f"## {heading}\n")
+        for p in there(section):
+            words = shlex.join(p.preview())
+            parts.append(
+                f"### {p.name}\n\n![{p.caption}]({p.name}.png)\n\n{p.caption}; "
+                f"[EXR]({p.name}.exr)\n\n    mitsuba-bezier {words}\n"
+            )
+        for file, text in others(section):
+            parts.append(f"![{text}]({file})\n" if section != "drawn" else f"* [{text}]({file})")
+        if section == "drawn":
+            parts.append("\n    python docs/figures/make.py\n")
     return "\n".join(parts)
 
 
@@ -128,14 +238,31 @@ are explained in [lecture.md](lecture.md).
 def index() -> str:
     """Return the index page: thumbnails, captions, commands."""
     items = []
-    for p in there():
-        words = html.escape("mitsuba-bezier " + shlex.join(p.preview()))
-        items.append(
-            f'<figure><a href="{p.name}.png"><img src="{p.name}.png" alt="{html.escape(p.caption)}"'
-            f' loading="lazy"></a><figcaption><b>{p.name}</b> {html.escape(p.caption)} '
-            f'<a href="{p.name}.exr">EXR</a><code>{words}</code></figcaption></figure>'
-        )
+    for section, heading in SECTIONS.items():
+        items.append(f'<h2 id="{section}">{heading}</h2>')
+        for p in there(section):
+            words = html.escape("mitsuba-bezier " + shlex.join(p.preview()))
+            items.append(
+                _figure(
+                    f"{p.name}.png", p.name, p.caption, f'<a href="{p.name}.exr">EXR</a>', words
+                )
+            )
+        for file, text in others(section):
+            name = Path(file).stem
+            command = f"mitsuba-bezier figure {name}" if section == "drawn" else ""
+            if name.endswith("_drawn"):
+                command = f"python docs/figures/overlays.py {name}"
+            items.append(_figure(file, name, text, "", command))
     return _PAGE.replace("@@", "\n".join(items))
+
+
+def _figure(file: str, name: str, caption: str, link: str, command: str) -> str:
+    """Return one picture of the index page."""
+    text = html.escape(caption)
+    return (
+        f'<figure><a href="{file}"><img src="{file}" alt="{text}" loading="lazy"></a>'
+        f"<figcaption><b>{name}</b> {text} {link}<code>{command}</code></figcaption></figure>"
+    )
 
 
 _PAGE = """<!doctype html>
@@ -148,6 +275,7 @@ body { font: 16px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76re
 main { display: grid; gap: 1.6rem; grid-template-columns: repeat(auto-fill, minmax(20rem, 1fr)); }
 figure { margin: 0; } img { width: 100%; aspect-ratio: 16/10; object-fit: contain;
   background: #8882; border-radius: .4rem; }
+h2 { grid-column: 1 / -1; margin: 1rem 0 0; }
 figcaption code { display: block; font-size: .75rem; overflow-wrap: anywhere; opacity: .75;
   margin-top: .3rem; }
 </style></head><body>

@@ -77,7 +77,7 @@ def overlay(render: Any, camera: Camera, style: str = "screen", fade: float = 0.
     render : (h, w, 3 | 4) array_like, or path
         Picture with as many pixels as the camera's film (or its crop window), or the same
         proportions: bytes, or linear numbers as a render has them, which get sRGB's curve. A path
-        is read as PNG, JPEG or WebP.
+        is read as EXR (linear), PNG, JPEG or WebP.
     camera : Camera
         The camera of the render.
     style : {"screen", "print"}
@@ -119,9 +119,11 @@ def _picture(render: Any) -> np.ndarray:
         from PIL import Image
 
         try:
+            if os.fspath(render).lower().endswith(".exr"):
+                return _picture(_exr(os.fspath(render)))
             with Image.open(render) as image:
                 return np.array(image.convert("RGB"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RuntimeError, KeyError) as error:
             raise GeometryError.expected("render", "a picture", error) from None
     a = np.asarray(render)
     if a.ndim == 2:
@@ -134,6 +136,19 @@ def _picture(render: Any) -> np.ndarray:
     x = np.clip(np.nan_to_num(a.astype(np.float64)), 0, 1)
     x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
     return (255 * x).round().astype(np.uint8)
+
+
+def _exr(path: str) -> np.ndarray:
+    """Return the colours of an EXR file, linear, ``(h, w, 3)``."""
+    import OpenEXR
+
+    with OpenEXR.File(path) as file:
+        channels = file.channels()
+        for name in ("RGB", "RGBA"):
+            if name in channels:
+                return np.asarray(channels[name].pixels, dtype=np.float64)[..., :3]
+        names = ("R", "G", "B") if "R" in channels else ("Y",) * 3
+        return np.stack([np.asarray(channels[c].pixels, dtype=np.float64) for c in names], axis=2)
 
 
 def names() -> dict[str, str]:

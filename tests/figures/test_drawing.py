@@ -146,6 +146,28 @@ def test_an_overlay_shows_the_render_pixel_for_pixel():
     assert np.isin(linear, (127, 128)).all()  # 0.2140411 is 0.5 by sRGB's curve
 
 
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_an_overlay_reads_files(suffix, tmp_path):
+    picture = np.zeros((240, 320, 3), np.uint8)
+    picture[100:140, 60:200] = (188, 99, 255)
+    path = tmp_path / f"render{suffix}"
+    if suffix == ".png":
+        from PIL import Image
+
+        Image.fromarray(picture).save(path)
+    else:
+        import OpenEXR
+
+        x = picture / 255.0
+        linear = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"RGB": linear.astype(np.float32)}).write(str(path))
+    np.testing.assert_array_equal(figures.overlay(path, CAMERA).pixels(320), picture)
+    path.write_bytes(b"no picture")
+    with pytest.raises(GeometryError, match="render: expected a picture"):
+        figures.overlay(path, CAMERA)
+
+
 def test_hidden_parts_of_curves_on_a_sphere_are_dashed():
     d = figures.space(CAMERA)
     d.boundary(sphere()[0], on=SPHERE)
