@@ -15,6 +15,7 @@ from ...geometry.cross_ratio import cross_ratio
 from ...geometry.curves import BezierCurve
 from ...geometry.projective import affine, point
 from ...geometry.splines import BSplineCurve
+from ._arguments import few
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -84,14 +85,16 @@ def bernstein(style: str = "screen", n: int = 3, t: float = 0.4) -> Drawing:
     """Bernstein polynomials: positive, with the sum 1."""
     from .. import plane
 
+    n = few("n", n, 1, 8)
+
     d = plane((-0.16, 1.2), (-0.09, 0.675), style)
     s = np.linspace(0, 1, 200)
     values = univariate(n, s)
-    for k in range(int(n) + 1):
-        coefficients = np.zeros((int(n) + 1, 3))
+    for k in range(n + 1):
+        coefficients = np.zeros((n + 1, 3))
         coefficients[:, 0], coefficients[:, 1] = (
-            np.linspace(0, 1, int(n) + 1),
-            0.5 * np.eye(int(n) + 1)[k],
+            np.linspace(0, 1, n + 1),
+            0.5 * np.eye(n + 1)[k],
         )
         coefficients[:, 2] = 1
         look = ("curve", "second", "third", "construction")[k % 4]

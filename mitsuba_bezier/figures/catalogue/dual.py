@@ -12,6 +12,7 @@ from ...geometry.developable import DevelopableSurface
 from ...geometry.duality import DualBezierCurve
 from ...geometry.projective import affine
 from ...geometry.unrolling import strip, strip_faces, unrolled
+from ._arguments import few
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -125,7 +126,7 @@ def developable(style: str = "screen", rulings: int = 17) -> Drawing:
     bottom, top = ribbon.trace(BOTTOM), ribbon.trace(TOP)
     d.surface(ribbon.patch(BOTTOM, TOP), 40)
     edge = ribbon.regression_curve()
-    for s in np.linspace(0, 1, int(rulings)):
+    for s in np.linspace(0, 1, few("rulings", rulings, 2, 200)):
         d.segment(bottom.evaluate(s), top.evaluate(s), "line", linewidth=0.9)
         r = edge.evaluate(s)
         if abs(r[3]) > 1e-9 * np.linalg.norm(r):

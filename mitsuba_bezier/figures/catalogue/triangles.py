@@ -10,6 +10,7 @@ from ...geometry import bernstein
 from ...geometry.camera import Camera, look_at
 from ...geometry.projective import point
 from ...geometry.triangles import BezierTriangles
+from ._arguments import few
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -141,7 +142,7 @@ def bernstein_triangle(style: str = "screen", n: int = 2) -> Drawing:
     """Bernstein polynomials of three variables over the triangle."""
     from .. import space
 
-    n = int(n)
+    n = few("n", n, 1, 4)
     rows = bernstein.multi_indices(n)
     base = np.array([[0, 1.0, 0], [-1.0, -0.7, 0], [1.0, -0.7, 0]])
     d = space(_camera((0, -11.5, 8.4), (0, 0.1, 0.25), 42), style)
