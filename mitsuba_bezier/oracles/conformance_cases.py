@@ -250,6 +250,24 @@ def _quadric(rng: np.random.Generator, n: int, count: int) -> Case | None:
     """Return a patch that lies exactly on a quadric: projected from a point of it."""
     if n not in (2, 4):
         return None
+    positive = rng.random() < 0.5  # weights of one sign: no point at infinity
+    for _ in range(200):
+        net = _projected(rng)
+        if not positive or (net[:, 3] > 0).all() or (net[:, 3] < 0).all():
+            break
+    net *= np.sign(net[:, 3].sum()) or 1.0
+    if n == 4:
+        # other parameters: squares u^2, v^2, w^2 and products put for the three
+        twist = rng.integers(1, 4, (3, 3))
+        net = _composed(net, twist)
+    if np.linalg.matrix_rank(net) < 4:
+        return None
+    net /= 2.0 ** np.floor(np.log2(np.abs(net).max()))
+    return Case("quadric", net, *_aimed(rng, net, count, None))
+
+
+def _projected(rng: np.random.Generator) -> np.ndarray:
+    """Return a quadratic net on a quadric: a triangle projected onto it from a point of it."""
     a, point = QUADRICS[rng.integers(len(QUADRICS))]
     s = np.array(point)
     p = rng.integers(-4, 5, (3, 4))
@@ -259,15 +277,7 @@ def _quadric(rng: np.random.Generator, n: int, count: int) -> Case | None:
     for i, j, _k in bernstein.multi_indices(2).tolist():
         one, two = [c for c, times in enumerate((i, j, 2 - i - j)) for _ in range(times)]
         rows.append(forms[one] * p[two] + forms[two] * p[one] - (p[one] @ a @ p[two]) * s)
-    net = np.array(rows, dtype=np.float64)
-    if n == 4:
-        # other parameters: squares u^2, v^2, w^2 and products put for the three
-        twist = rng.integers(1, 4, (3, 3))
-        net = _composed(net, twist)
-    if np.linalg.matrix_rank(net) < 4:
-        return None
-    net /= 2.0 ** np.floor(np.log2(np.abs(net).max()))
-    return Case("quadric", net, *_aimed(rng, net, count, None))
+    return np.array(rows, dtype=np.float64)
 
 
 def _composed(net: np.ndarray, twist: np.ndarray) -> np.ndarray:
