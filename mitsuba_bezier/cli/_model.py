@@ -188,7 +188,8 @@ def _models(args: argparse.Namespace) -> tuple[list[Any], list[str]]:
 
     models, notes = [], []
     for path in (args.scene, *args.more):
-        model = read(path, trims=True)
+        # fields may be many: they are read where one is asked for
+        model = read(path, trims=True, fields=bool(args.color_by or args.warp))
         report = model.report
         notes += [f"note: {line}" for line in report.notes]
         if report.refused:

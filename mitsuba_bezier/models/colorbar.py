@@ -58,7 +58,7 @@ def tick_labels(values: Sequence[float]) -> list[str]:
     size = abs(values[-1] - values[0])
     largest = max(abs(x) for x in values)
     decimals = max(0, math.ceil(-math.log10(2e-3 * size)))
-    if largest >= 1e6 or decimals > 5:
+    if largest >= 1e6 or largest < 1e-3 or decimals > 9:
         digits = max(1, math.ceil(math.log10(largest / (2e-3 * size))))
         texts = [f"{x:.{min(digits, 16)}e}" for x in values]
         texts = [f"{t.split('e')[0]}e{int(t.split('e')[1])}" for t in texts]
