@@ -58,7 +58,7 @@ def make_lens_class() -> type:
          * - dispersion
            - |bool|
            - Refract each channel (rgb variants) or wavelength (spectral ones) by its own index
-             (Default: true).
+             (Default: in spectral variants; in rgb ones it takes three times the samples).
          * - to_world
            - |transform|
            - As for :monosp:`perspective`; the origin is in the middle of the entrance pupil.
@@ -78,10 +78,11 @@ def make_lens_class() -> type:
                 raise BezierError.expected("filename", "a prescription of a lens", "none")
             name = str(mi.file_resolver().resolve(props["filename"]))
             where = props.get("to_world", mi.ScalarTransform4f())
-            self._origin = mi.ScalarTransform4f(where).translation()
+            # of float64 in a file, of float32 in a dictionary
+            self._origin = np.array(where.matrix, dtype=float).reshape(4, 4)[:3, 3].tolist()
             self._width = _positive(props, "film_width", 36.0)
             self._scale = _positive(props, "scale", 1e-3)
-            self._dispersion = bool(props.get("dispersion", True))
+            self._dispersion = bool(props.get("dispersion", mi.is_spectral))
             lens = load(name)
             if "f_number" in props:
                 lens = stopped_down(lens, _positive(props, "f_number", 1.0))

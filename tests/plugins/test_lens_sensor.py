@@ -184,3 +184,21 @@ def test_backwards_twice_is_the_lens():
 def test_bad_parameters_are_named(parameters, message):
     with pytest.raises((BezierError, RuntimeError), match=message):
         sensor(**parameters)
+
+
+def test_it_stands_where_a_file_says(tmp_path):
+    (tmp_path / "scene.xml").write_text(
+        f"""<scene version="3.0.0"><sensor type="lens">
+        <string name="filename" value="{LENS}"/>
+        <transform name="to_world">
+            <lookat origin="1, -3, 2" target="0, 0, 0" up="0, 0, 1"/>
+        </transform>
+        <film type="hdrfilm"/>
+        </sensor></scene>"""
+    )
+    plugin = mi.load_file(str(tmp_path / "scene.xml")).sensors()[0]
+    assert np.allclose(np.array(plugin.bbox().min).ravel(), [1, -3, 2])
+    _o, d, weight = sampled(plugin, 0.5, 0.5)
+    toward = np.array([-1, 3, -2]) / np.sqrt(14)
+    # a cone of f/2 around the axis
+    assert (d[weight > 0] @ toward > 0.96).all() and (weight > 0).any()
