@@ -25,7 +25,15 @@ import numpy as np
 from .sign_changes import bernstein_product, sign_changes, split
 from .trims import Trims
 
-__all__ = ["CELL", "HEAD", "SLACK", "TrimCells", "monotone_pieces", "trim_cells"]
+__all__ = [
+    "CELL",
+    "HEAD",
+    "SLACK",
+    "TrimCells",
+    "UntrimmedParts",
+    "monotone_pieces",
+    "trim_cells",
+]
 
 #: A point this near to a trimming curve belongs to the surface, in parameters of its patch's unit
 #: square: neighbours that share the curve overlap by that, so nothing leaks between them. Ten
@@ -157,6 +165,23 @@ class _Pieces:
     def select(self, mask: np.ndarray) -> _Pieces:
         return _Pieces(self.coefficients[mask], self.ends[mask])
 
+    def around(self, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Tell how pieces lie to boxes ``(L, 2, 2)`` of lower and upper corners.
+
+        Returns
+        -------
+        near, inner : (L, Q) bool arrays
+            Which come near a box, and which end or begin on its right, between its heights.
+        base : (L,) int array
+            1 if an odd number passes to the right of the foot of the box, of those not near.
+        """
+        (s0, t0), (s1, t1) = boxes[:, 0].T[..., None], boxes[:, 1].T[..., None]
+        level = (self.t[:, 1] >= t0) & (self.t[:, 0] <= t1)
+        right = level & (self.low > s1)
+        near = level & ~right & (self.high >= s0)
+        base = (right & (self.t[:, 0] <= t0) & (self.t[:, 1] > t0)).sum(axis=1) % 2
+        return near, right & ((self.t[:, 0] > t0) | (self.t[:, 1] <= t1)), base
+
     def rows(self) -> np.ndarray:
         """Return the pieces as rows of the table."""
         (s0, t0), (s1, t1) = self.ends[:, 0].T, self.ends[:, 1].T
@@ -219,12 +244,8 @@ class _Builder:
         -------
         first, count, base : (L,) arrays
         """
-        (s0, t0), (s1, t1) = boxes[:, 0].T[..., None], boxes[:, 1].T[..., None]
-        level = (pieces.t[:, 1] >= t0) & (pieces.t[:, 0] <= t1)
-        right = level & (pieces.low > s1)
-        near = level & ~right & (pieces.high >= s0)
-        base = (right & (pieces.t[:, 0] <= t0) & (pieces.t[:, 1] > t0)).sum(axis=1) % 2
-        inner = right & ((pieces.t[:, 0] > t0) | (pieces.t[:, 1] <= t1))
+        near, inner, base = pieces.around(boxes)
+        t0, t1 = boxes[:, 0, 1:], boxes[:, 1, 1:]
         owner, row = np.nonzero(near)
         steps_owner: list[int] = []
         steps: list[float] = []
@@ -254,6 +275,48 @@ class _Builder:
         for axis, arc in enumerate(self.trims.arc[patch]):
             if arc > 0:
                 out[6 + 2 * axis : 8 + 2 * axis] = np.tan(arc / 4), 2 / arc
+        return out
+
+
+def _boxes(trims: Trims, patch: int, corners: np.ndarray) -> np.ndarray:
+    """Return boxes ``(L, 2, 2)`` around parts of a patch, in its unit square, with a margin."""
+    places = trims.unit(np.full(3 * len(corners), patch), corners.reshape(-1, 2))
+    places = places.reshape(-1, 3, 2)
+    low, high = places.min(axis=1), places.max(axis=1)
+    pad = (high - low).max(axis=1, keepdims=True) * _MARGIN[0] + _MARGIN[1] + SLACK
+    return np.stack([low - pad, high + pad], axis=1)
+
+
+class UntrimmedParts:
+    """Tells which parts of patches are not trimmed away as a whole.
+
+    Parameters
+    ----------
+    trims : Trims
+    """
+
+    def __init__(self, trims: Trims) -> None:
+        self._builder = _Builder(trims)
+        self._placed: dict[int, _Pieces] = {}
+
+    def __call__(self, patch: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Return a mask of parts of which something may be left; none is missing.
+
+        Parameters
+        ----------
+        patch : (L,) int array
+        corners : (L, 3, 2) array
+            Parameters of the corners of the parts.
+        """
+        trims = self._builder.trims
+        out = np.ones(len(patch), dtype=bool)
+        for p in np.unique(patch[trims.region[patch] >= 0]).tolist():
+            if p not in self._placed:
+                region = self._builder.regions[int(trims.region[p])]
+                self._placed[p] = _placed(region, trims.place[p])
+            mine = np.flatnonzero(patch == p)
+            near, inner, base = self._placed[p].around(_boxes(trims, p, corners[mine]))
+            out[mine] = near.any(axis=1) | inner.any(axis=1) | (base == 1)
         return out
 
 
@@ -300,11 +363,7 @@ def trim_cells(
         mine = order[bounds[p] : bounds[p + 1]]
         if not len(mine):
             continue
-        places = trims.unit(np.full(3 * len(mine), p), corners[mine].reshape(-1, 2))
-        places = places.reshape(-1, 3, 2)
-        low, high = places.min(axis=1), places.max(axis=1)
-        pad = (high - low).max(axis=1, keepdims=True) * _MARGIN[0] + _MARGIN[1] + SLACK
-        first, number, base = builder.add(pieces, np.stack([low - pad, high + pad], axis=1))
+        first, number, base = builder.add(pieces, _boxes(trims, p, corners[mine]))
         test = number > 0
         keep[mine] = test | (base == 1)
         cell[mine[test]] = used + np.arange(test.sum())

@@ -10,6 +10,8 @@ import numpy as np
 
 from ..geometry.proper_nets import free_of_factor, spans_area
 from ..geometry.triangles import BezierTriangles
+from ..geometry.trim_cells import UntrimmedParts
+from ..geometry.trims import Trims
 from .closed_form.affine_frames import affine_frames
 from .closed_form.degree_reduction import reduce_degree
 from .closed_form.groups import in_space_of
@@ -24,7 +26,9 @@ __all__ = ["build_leaves", "rebuild_leaves"]
 _CHUNK = 4096
 
 
-def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None) -> Leaves:
+def build_leaves(
+    patches: BezierTriangles, settings: LeafSettings | None = None, trims: Trims | None = None
+) -> Leaves:
     """Cut `patches` into leaves.
 
     Parameters
@@ -33,11 +37,14 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
         Any degree, any weights.
     settings : LeafSettings, optional
         Thresholds of the subdivision.
+    trims : Trims, optional
+        Parts of patches that are trimmed away need no leaves; they may be singular there.
 
     Returns
     -------
     Leaves
-        The domains of the leaves of one patch tile its triangle. Points and curves have none.
+        The domains of the leaves of one patch tile its triangle, or what is left of it. Points and
+        curves have none.
     """
     settings = settings or LeafSettings()
     nets = free_of_factor(patches.control_points)
@@ -45,7 +52,9 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
     if len(surfaces) < len(patches):  # no ray meets the others
         if not len(surfaces):
             return Leaves(GraphLeaves.zeros(), ClosedFormLeaves.zeros())
-        return build_leaves(BezierTriangles(nets[surfaces]), settings).of_patches(surfaces)
+        left_over = None if trims is None else trims[surfaces]
+        proper = build_leaves(BezierTriangles(nets[surfaces]), settings, left_over)
+        return proper.of_patches(surfaces)
     if nets is not patches.control_points:
         patches = BezierTriangles(nets)
     numbers = np.arange(len(patches))
@@ -65,9 +74,11 @@ def build_leaves(patches: BezierTriangles, settings: LeafSettings | None = None)
             numbers = numbers[rest]
         nets = nets[numbers]
     graphs: list[GraphLeaves] = []
+    # without graph leaves, there is nothing to ask
+    wanted = None if trims is None or not len(numbers) else UntrimmedParts(trims)
     for first in range(0, len(numbers), _CHUNK):
         chunk = slice(first, first + _CHUNK)
-        graphs.extend(subdivide(nets[chunk], numbers[chunk], settings))
+        graphs.extend(subdivide(nets[chunk], numbers[chunk], settings, wanted))
     return Leaves(GraphLeaves.join(graphs), ClosedFormLeaves.join(parts))
 
 
@@ -124,6 +135,7 @@ def rebuild_leaves(
     settings: LeafSettings,
     before: BezierTriangles,
     leaves: Leaves,
+    trims: Trims | None = None,
 ) -> Leaves:
     """Cut `patches` of which only some differ from those `before`, whose `leaves` are known.
 
@@ -138,16 +150,18 @@ def rebuild_leaves(
     before : BezierTriangles
     leaves : Leaves
         Of `before`.
+    trims : Trims, optional
+        Of both.
     """
     nets, old = patches.control_points, before.control_points
     if nets.shape != old.shape:
-        return build_leaves(patches, settings)
+        return build_leaves(patches, settings, trims)
     changed = (nets != old).any(axis=(1, 2))
     changed[leaves.closed_form.patch] = True
     if changed.all():
-        return build_leaves(patches, settings)
+        return build_leaves(patches, settings, trims)
     kept = leaves.select(~changed[leaves.patch])
     if not changed.any():
         return kept
-    again = build_leaves(patches[changed], settings)
+    again = build_leaves(patches[changed], settings, None if trims is None else trims[changed])
     return Leaves.join([kept, again.of_patches(np.flatnonzero(changed))])

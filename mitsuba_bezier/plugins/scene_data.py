@@ -378,9 +378,10 @@ def _leaves_of(shape: Any, remember: bool) -> Leaves:
     """Return the leaves of a shape, with those it remembers, and let it remember them."""
     settings = LeafSettings(sections=shape.trims is None)
     if shape.kept_leaves is None:
-        leaves = build_leaves(shape.patches, settings)
+        leaves = build_leaves(shape.patches, settings, shape.trims)
     else:
-        leaves = rebuild_leaves(shape.patches, settings, *shape.kept_leaves)
+        before, known = shape.kept_leaves
+        leaves = rebuild_leaves(shape.patches, settings, before, known, shape.trims)
     shape.kept_leaves = (shape.patches, leaves) if remember else None
     return leaves
 

@@ -161,7 +161,7 @@ class Section:
             for k in members[shapes[cap].body]:
                 settings = LeafSettings(sections=shapes[k].trims is None)
                 moved = shapes[k].patches.transform(move)
-                own_leaves = build_leaves(moved, settings)
+                own_leaves = build_leaves(moved, settings, shapes[k].trims)
                 leaves.append(own_leaves.of_patches(len(own) + np.arange(len(moved))))
                 trims.append(shapes[k].trims or Trims.none(len(moved)))
                 own += range(first[k], first[k] + len(moved))

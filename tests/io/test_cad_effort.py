@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mitsuba_bezier.geometry import trim_cells
+from mitsuba_bezier.geometry import bernstein, trim_cells
+from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.geometry.trims import Trims, square_map
 from mitsuba_bezier.io.cad.plane_regions import chain
 from mitsuba_bezier.io.cad.trimmed_patches import fit_parabolas
+from mitsuba_bezier.leaves.builder import build_leaves, rebuild_leaves
+from mitsuba_bezier.leaves.graph import subdivision
+from mitsuba_bezier.leaves.records import LeafSettings
 
 
 def test_parabolas_are_fitted_in_rounds():
@@ -74,3 +78,40 @@ def test_shuffled_curves_are_chained():
             assert np.abs(a[-1] - b[0]).max() <= 1e-9
     assert chain(mixed[:-1], 1e-9) is None
     assert chain([], 1e-9) == []
+
+
+def test_parts_that_are_trimmed_away_have_no_leaves(monkeypatch):
+    """CAD surfaces go on beyond their faces, and may be singular there: that costs nothing."""
+    rng = np.random.default_rng(8)
+    # a height field, which turns round and folds where v is small
+    ijk = bernstein.multi_indices(5) / 5
+    net = np.ones((1, len(ijk), 4))
+    net[0, :, :2], net[0, :, 2] = ijk[:, :2], rng.uniform(0, 0.4, len(ijk))
+    low = ijk[:, 1] < 0.3
+    net[0, low, :2] += rng.uniform(-0.6, 0.6, (low.sum(), 2))
+    patches = BezierTriangles(net)
+    corners = np.array([[0.2, 0.5], [0.4, 0.5], [0.2, 0.7]])
+    sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    region = np.concatenate([sides, np.ones((3, 2, 1))], axis=2)
+    trims = Trims([region], [0], [square_map()], [[[0, 0], [1, 1]]])
+
+    examined = []
+    real = subdivision._graph_leaves
+    monkeypatch.setattr(
+        subdivision, "_graph_leaves", lambda nets, *rest: examined.append(nets) or real(nets, *rest)
+    )
+    settings = LeafSettings(sections=False)
+    leaves = [build_leaves(patches, settings), build_leaves(patches, settings, trims)]
+    counts = [len(x) for x in examined]
+    first = counts.index(1, 1)  # the second build begins with the patch again
+    assert sum(counts[first:]) < 0.2 * sum(counts[:first])
+    kept = []
+    for found in leaves:
+        keep = trim_cells.trim_cells(trims, found.patch, found.corners())[2]
+        domains = found.corners()[keep].reshape(-1, 6)
+        kept.append(domains[np.lexsort(domains.T)])
+    # what is left is the same, to the last bit
+    np.testing.assert_array_equal(*kept)
+    # and an update of a patch leaves parts away, too
+    again = rebuild_leaves(patches, settings, BezierTriangles(net + 1e-3), leaves[1], trims)
+    assert len(again) == len(leaves[1])

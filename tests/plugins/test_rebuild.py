@@ -68,9 +68,9 @@ def test_only_changed_patches_are_cut_again(monkeypatch):
     torus, cut = mb.torus(), []
     subdivide = leaf_builder.subdivide
 
-    def watched(nets, patch, settings):
+    def watched(nets, *rest):
         cut.append(len(nets))
-        return subdivide(nets, patch, settings)
+        return subdivide(nets, *rest)
 
     monkeypatch.setattr(leaf_builder, "subdivide", watched)
     before = build_leaves(torus)
@@ -90,9 +90,9 @@ def test_shapes_remember_their_leaves_after_an_update(monkeypatch):
     cut = []
     subdivide = leaf_builder.subdivide
 
-    def watched(nets, patch, settings):
+    def watched(nets, *rest):
         cut.append(len(nets))
-        return subdivide(nets, patch, settings)
+        return subdivide(nets, *rest)
 
     monkeypatch.setattr(leaf_builder, "subdivide", watched)
     torus = mb.BezierTriangles(mb.torus().control_points.astype(np.float32).astype(float))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
@@ -18,7 +18,12 @@ from .cover import edge_reach
 __all__ = ["subdivide"]
 
 
-def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> Iterator[GraphLeaves]:
+def subdivide(
+    nets: np.ndarray,
+    patch: np.ndarray,
+    settings: LeafSettings,
+    wanted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Iterator[GraphLeaves]:
     """Yield the leaves of one chunk of patches, level by level.
 
     Parameters
@@ -29,6 +34,9 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         Their numbers.
     settings : LeafSettings
         When a leaf is good enough.
+    wanted : callable, optional
+        Given patches ``(L,)`` and the parameters of the corners ``(L, 3, 2)`` of parts of them,
+        tells which parts are needed. Others have no leaves.
     """
     n = bernstein.degree_of(nets.shape[1])
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
@@ -57,7 +65,8 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         nets, domain, patch = nets[rest], domain[rest], patch[rest]
         corner = collapsed_edge(nets)
         plain = corner < 0
-        split = np.einsum("ekl,plc->pekc", bernstein.split_matrices(n), nets[plain])
+        # one product of matrices a net: many times as fast as an einsum for high degrees
+        split = bernstein.split_matrices(n).reshape(-1, nets.shape[1]) @ nets[plain]
         # rows of SPLIT_CORNERS are barycentrics of new corners: columns of the domain map
         inner = np.einsum("pij,ekj->peik", domain[plain], bernstein.SPLIT_CORNERS)
         parts = [(split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3))]
@@ -77,6 +86,12 @@ def subdivide(nets: np.ndarray, patch: np.ndarray, settings: LeafSettings) -> It
         nets = np.concatenate([p[0] for p in parts])
         domain = np.concatenate([p[1] for p in parts])
         patch = np.concatenate(numbers)
+        if wanted is not None:
+            barycentrics = domain / domain.sum(axis=1, keepdims=True)
+            needed = wanted(patch, barycentrics[:, :2].transpose(0, 2, 1))
+            nets, domain, patch = nets[needed], domain[needed], patch[needed]
+            if not len(nets):
+                return
 
 
 #: Most leaves of one patch that may be pending, to be cut further. A patch whose parametrisation is
