@@ -226,7 +226,8 @@ class _Case:
 
     def _claim(self) -> bool:
         """Note that this call writes the reference; return whether no other one has."""
-        self._mine = self._mine or _claim(self._settings, self._reference, self._record)
+        scene = self._shot.fingerprint
+        self._mine = self._mine or _claim(self._settings, self._reference, self._record, scene)
         return self._mine
 
     def _accept(self) -> Comparison:
@@ -285,18 +286,19 @@ class _Case:
         self._node.user_properties.append((PROPERTY, figures))
 
 
-def _claim(config: Any, reference: Path, record: Record) -> bool:
+def _claim(config: Any, reference: Path, record: Record, scene: str) -> bool:
     """Note who writes a reference; return whether this is the first time.
 
-    Two tests that write one reference would undo each other's, so the second one fails.
+    Tests of one scene share a reference, and the first writes it. Tests of two scenes would undo
+    each other's, so the second one fails.
     """
     claims = config.config.__dict__.setdefault("_mitsuba_bezier_claims", {})
     first = str(reference) not in claims
-    other = claims.setdefault(str(reference), record.test)
-    if other != record.test:
+    test, other = claims.setdefault(str(reference), (record.test, scene))
+    if other != scene:
         pytest.fail(
-            f"render_regression: name: expected one that no other test writes, got {record.name}, "
-            f"which is that of {other}, too",
+            f"render_regression: name: expected one that no test of another scene writes, got "
+            f"{record.name}, which is that of {test}, too",
             pytrace=False,
         )
     return first

@@ -226,11 +226,16 @@ def test_a_reference_of_another_size_or_variant(project):
 
 
 def test_two_tests_do_not_write_one_reference(project):
-    project.write(SAME + SAME.replace("test_same", "test_too").replace("scene()", "scene(3.0)"))
-    result = project.run("--bezier-accept")
-    result.assert_outcomes(skipped=1, failed=1)
+    shared = SAME.replace("test_same", "test_share")
+    project.write(SAME + shared + SAME.replace("test_same", "test_too").replace("()", "(3.0)"))
+    result = project.run("--bezier-generate-refs")
+    # of one scene they share it, of two it is an error
+    result.assert_outcomes(skipped=1, passed=1, failed=1)
     result.stdout.fnmatch_lines(
-        ["*name: expected one that no other test writes, got ball, which is that of *test_same*"]
+        [
+            "*name: expected one that no test of another scene writes, got ball, which is that of "
+            "*test_same*"
+        ]
     )
 
 
