@@ -92,7 +92,8 @@ def trace(case: Any, folder: Path) -> dict[str, np.ndarray]:
             shape = dr.reinterpret_array(mi.UInt32, si.shape)
             fields = (si.t, *si.uv, si.prim_index, shape, *si.p, *si.n, *si.dp_du, *si.dp_dv)
             dr.eval(*fields)
-            found[f"{name}, closest"] = np.stack([np.array(x, dtype=float) for x in fields])
+            # all have 32 bits, and these are what is compared
+            found[f"{name}, closest"] = np.stack([np.array(x).view(np.uint32) for x in fields])
         if not case.double:
             found["any hit"] = np.array(mb.ray_test(scene, ray))
         # uploads and the like aside

@@ -19,7 +19,7 @@ __all__ = ["attached_tables", "is_attached"]
 
 
 def is_attached(shape: Any) -> bool:
-    """Tell whether derivatives by the parameters of a shape are wanted now."""
+    """Return whether derivatives by the parameters of a shape are wanted now."""
     return bool(dr.grad_enabled(shape.control_points) or dr.grad_enabled(shape.to_world))
 
 

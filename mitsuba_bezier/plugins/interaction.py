@@ -134,7 +134,7 @@ class Jet:
         )
 
     def is_far(self, ray: Any, t: Any) -> Any:
-        """Tell where a rounding of parameters moves the point further than one of `t`."""
+        """Return a mask of hits that a rounding of parameters moves further than one of `t`."""
         reach = dr.max(dr.abs(ray.o)) + mi.Float(t) * dr.norm(ray.d)
         return _size(self.pu, self.pv) > reach
 
