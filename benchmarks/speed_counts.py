@@ -50,7 +50,7 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     dr.eval(lane)
     buffers = {name: getattr(structure, name) for name in RECORDS}
     buffers["nodes"] = structure.nodes.records
-    names = {buffer.index: name for name, buffer in buffers.items()}
+    names = {buffer.index: name for name, buffer in buffers.items() if buffer is not None}
     counters: dict[str, Any] = {
         n: [dr.zeros(types_of(mi.Float).UInt, width) for _ in range(PLACES)] for n in RECORDS
     }
