@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -54,6 +55,8 @@ def connected(args: argparse.Namespace) -> Iterator[Any]:
     from distributed import Client, LocalCluster
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # it dies with the workers if a signal ends the command, and would say so
+    warnings.filterwarnings("ignore", message="resource_tracker")
     settings = {
         "distributed.worker.multiprocessing-method": "spawn",  # a fork of Dr.Jit's threads hangs
         "distributed.scheduler.worker-ttl": SILENCE,
@@ -134,7 +137,7 @@ def prepare(client: Any, shot: Any, note: Callable[[str], None]) -> _worker.Job:
         name = f"mitsuba-bezier-{bundle.digest}"
 
         def setup(self, worker: Any) -> None:
-            _worker.receive(bundle)
+            _worker.receive(bundle, worker.local_directory)
 
     answers = client.run(_worker.probe, shot.variant, on_error="return")
     ours = machine()

@@ -22,7 +22,7 @@ __all__ = ["Job", "probe", "receive", "work"]
 
 #: One part at a time: a film belongs to one render.
 _lock = threading.Lock()
-_bundles: dict[str, Bundle] = {}
+_bundles: dict[str, tuple[Bundle, str | None]] = {}
 _loaded: dict[str, Any] = {}
 
 
@@ -60,13 +60,13 @@ def probe(variant: str) -> dict[str, str]:
     return machine()
 
 
-def receive(bundle: Bundle) -> None:
-    """Take the files of a scene."""
+def receive(bundle: Bundle, folder: str | None = None) -> None:
+    """Take the files of a scene to a folder, which is dask's to remove."""
     with suppress(ValueError):  # of other threads than the main one
         # Ctrl-C is for the command, which ends its workers
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    bundle.unpack()
-    _bundles[bundle.digest] = bundle
+    bundle.unpack(folder)
+    _bundles[bundle.digest] = bundle, folder
 
 
 def work(job: Job, indices: Sequence[int]) -> Rendered:
@@ -94,8 +94,8 @@ def _scene_of(job: Job) -> tuple[Any, Any, Any]:
             import drjit as dr
 
             dr.set_thread_count(job.threads)
-        bundle = _bundles[job.digest]
-        root = bundle.unpack()
+        bundle, folder = _bundles[job.digest]
+        root = bundle.unpack(folder)  # again, if something has removed it
         args = argparse.Namespace(**vars(job.args))
         args.scene, *args.more = (str(root / name) for name in bundle.inputs)
         args.append = [str(root / name) for name in bundle.folders]

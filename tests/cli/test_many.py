@@ -117,7 +117,7 @@ def test_workers_of_other_versions_are_named(folder, monkeypatch, capsys):
         assert "llvm: expected 1.2.3, got" in found and "worker inproc://" in found
         monkeypatch.setattr(_many, "machine", lambda: ours)
 
-        def full(_bundle):
+        def full(_bundle, _folder):
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(_worker, "receive", full)

@@ -83,14 +83,15 @@ def test_the_size_of_parts():
 
 # ---------------------------------------------------------------- with dask
 
-_bad: dict[str, object] = {}
+_bad: dict[int, dict[str, str]] = {}
 
 
 def work(job, indices):
     from distributed import get_worker
 
-    address = get_worker().address
-    role = _bad.setdefault(address, job.get(len(_bad), "good"))  # by the order of appearance
+    # by the order of appearance; tasks of the test before may still run
+    own = _bad.setdefault(job["run"], {})
+    role = own.setdefault(get_worker().address, job.get(len(own), "good"))
     rendered = part(indices)
     if role == "hangs":
         time.sleep(1.5)
@@ -126,7 +127,8 @@ def farm(client, roles, monkeypatch, notes=None):
 
     monkeypatch.setattr(module, "LATE_SECONDS", 0.3)
     monkeypatch.setattr(module, "LOOK", 0.1)
-    _bad.clear()
+    roles = {**roles, "run": len(_bad)}
+    _bad[len(_bad)] = {}
     picture = Picture(PLAN)
     notes = [] if notes is None else notes
     return module.Farm(client, work, roles, picture, 3, IDENTITY, SIZE, notes.append)
