@@ -57,7 +57,7 @@ from .geometry.shapes import (  # noqa: E402
 from .geometry.tensor import tensor_to_triangles  # noqa: E402
 from .geometry.triangles import BezierTriangles  # noqa: E402
 from .geometry.triangulations import triangulated  # noqa: E402
-from .io import load, save  # noqa: E402
+from .io import Model, load, save  # noqa: E402
 
 __all__ = [
     "BSplineCurve",
@@ -114,6 +114,7 @@ __all__ = [
     "save",
     "scene",
     "shape",
+    "show",
     "sphere",
     "tensor_to_triangles",
     "torus",
@@ -161,7 +162,20 @@ _WITH_MITSUBA = {
     "ray_test": "plugins.scene",
     "scene": "models.scene",
     "shape": "plugins.native.dictionaries",
+    "show": "models.notebook",
 }
+
+
+def _draw(model: Any) -> bytes | None:
+    """Return the picture of a net or a model for notebooks."""
+    from .models.notebook import quick_png
+
+    return quick_png(model)
+
+
+# nets and models stand below what draws them
+BezierTriangles.draw = staticmethod(_draw)
+Model.draw = staticmethod(_draw)
 
 
 def __getattr__(name: str) -> Any:

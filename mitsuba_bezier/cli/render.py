@@ -186,6 +186,7 @@ def add_parser(subparsers: Any) -> None:
         help="render by the workers of a dask scheduler, such as tcp://host:8786",
     )
     add("--json", metavar="FILE", help="write what was reached; '-' for standard output")
+    add("--open", action="store_true", help="show the picture when it is done")
     add("--exposure", metavar="EV", type=stops, default=0.0, help="stops, for the preview (0)")
     add(
         "--allow-plugins",
@@ -241,7 +242,19 @@ def run(args: argparse.Namespace) -> int:
         say(f"mitsuba-bezier: {printable(note)}")
     sensor = _inputs.chosen_sensor(loaded.scene, args.sensor)
     _passes.render(_passes.Shot(args, loaded, sensor, variant, output), say)
+    if args.open and not show(output.with_suffix(".png")):
+        say("mitsuba-bezier: no viewer of pictures was found (--open)")
     return 0
+
+
+def show(path: Path) -> bool:
+    """Open a picture with the system's viewer; return whether one was found."""
+    import webbrowser
+
+    try:
+        return path.is_file() and webbrowser.open(path.resolve().as_uri())
+    except (webbrowser.Error, OSError, ValueError):
+        return False
 
 
 def set_variant(wanted: str | None) -> str:

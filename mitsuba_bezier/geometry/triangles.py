@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -367,6 +367,13 @@ class BezierTriangles:
         return BezierTriangles(
             np.concatenate([p.elevate(top - p.degree).control_points for p in parts])
         )
+
+    #: What draws it in notebooks; the package sets it.
+    draw: ClassVar[Callable[[Any], bytes | None] | None] = None
+
+    def _repr_png_(self) -> bytes | None:
+        draw = type(self).draw
+        return None if draw is None else draw(self)
 
     # ------------------------------------------------------------------ measures
 

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -200,6 +201,13 @@ class Model:
             f"{near}{more}" if known else "a file with fields; this one has none",
             repr(name),
         )
+
+    #: What draws it in notebooks; the package sets it.
+    draw: ClassVar[Callable[[Any], bytes | None] | None] = None
+
+    def _repr_png_(self) -> bytes | None:
+        draw = type(self).draw
+        return None if draw is None else draw(self)
 
     def triangles(self) -> BezierTriangles:
         """Return all patches elevated to the highest degree, in the order of the file."""
