@@ -259,7 +259,7 @@ def render(shot: Shot, say: Callable[[str], None], client: Any = None) -> None:
     picture = _begin(shot, say)
     before = picture.total.spp
     goal = Goal(args.until_noise, args.time)
-    better = 0 if before else shot.better()
+    better = shot.better()  # also one that was finished just before the sums were to go
 
     def shown(state: Picture) -> Files:
         # a better picture of the same render stays until this one is as good

@@ -231,6 +231,15 @@ def test_a_better_picture_of_the_same_render_stays_until_there_is_one(
     assert read_image(whole).attributes["spp"] == 24
 
 
+def test_a_finished_picture_stays_if_its_sums_were_not_yet_removed(folder, whole, monkeypatch):
+    assert interrupt(monkeypatch, 2, *WORDS, "-q", "-o", "a.exr") == 130
+    Path("a.exr").write_bytes(Path(whole).read_bytes())
+    assert interrupt(monkeypatch, 1, *WORDS, "-q", "-o", "a.exr") == 130
+    same("a.exr", whole)
+    assert render(*WORDS, "-q", "-o", "a.exr") == 0
+    same("a.exr", whole)
+
+
 # ---------------------------------------------------------------- files and disks
 
 
