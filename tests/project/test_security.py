@@ -321,6 +321,27 @@ def test_pipes(tmp_path, suffix):
         mb.load(tmp_path / f"b.{suffix}")
 
 
+@sentence(
+    "Only a `.pvtu` file names others, its pieces, which are refused unless they are in its folder "
+    "or below."
+)
+@pytest.mark.parametrize("where", ["../piece.vtu", "/{}/piece.vtu", "sub/../../piece.vtu"])
+def test_pieces_of_other_folders(tmp_path, where):
+    mb.save(mb.sphere(), tmp_path / "piece.vtu")
+    (tmp_path / "inner" / "sub").mkdir(parents=True)
+    path = tmp_path / "inner" / "a.pvtu"
+    text = (
+        '<VTKFile type="PUnstructuredGrid" version="1.0"><PUnstructuredGrid>'
+        '<Piece Source="{}"/></PUnstructuredGrid></VTKFile>'
+    )
+    path.write_text(text.format(where.format(tmp_path)))
+    with pytest.raises(FileFormatError, match="a Source in the folder of the file, or below"):
+        mb.load(path)
+    mb.save(mb.sphere(), tmp_path / "inner" / "sub" / "piece.vtu")
+    path.write_text(text.format("sub/piece.vtu"))
+    assert len(mb.load(path)) == 8
+
+
 @sentence("A model is read from one file: what it includes or refers to is not read.")
 @pytest.mark.filterwarnings("ignore::mitsuba_bezier.io.FormatWarning")
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes of POSIX")
