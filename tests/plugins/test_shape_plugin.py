@@ -244,7 +244,7 @@ def test_bad_files(tmp_path):
     for name, text, words in (
         ("empty.vtu", "", ()),
         ("cut.vtu", VTU.format(cell=76)[:300], ()),
-        ("linear.vtu", VTU.format(cell=5), ("76", "VTK_TRIANGLE")),
+        ("polyhedron.vtu", VTU.format(cell=42), ("VTK_POLYHEDRON",)),
     ):
         with pytest.raises(RuntimeError) as caught:
             mi.load_dict(write(tmp_path / name, text))
