@@ -155,10 +155,9 @@ mkdir -p {place}
 export DRJIT_CACHE_DIR="${{TMPDIR:-/tmp}}/drjit-$(id -u)"
 i=$SLURM_ARRAY_TASK_ID
 if ! [ -e {done} ]; then
-  render() {{ exec {command} -q -t "${{SLURM_CPUS_PER_TASK:-{cpus}}}" --part $i/{parts} \\
-    -o {place}/{name}.exr; }}
   # in the background, so that the signal at the end of the time reaches it
-  render & pid=$!
+  {command} -q -t "${{SLURM_CPUS_PER_TASK:-{cpus}}}" --part $i/{parts} \\
+    -o {place}/{name}.exr & pid=$!
   trap 'kill -TERM $pid' TERM
   wait $pid || wait $pid || exit $?
   touch {done}

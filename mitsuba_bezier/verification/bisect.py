@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .._children import program
-from .._files import temporary_folder
+from .._files import temporary_folder, write_file
 from ..errors import BezierError, RuntimeSetupError
 from .accept import read_report
 from .runs import RESULTS
@@ -140,7 +140,7 @@ class Bisection:
         if self._reference is not None:  # always that of GOOD
             target = root / self._reference[0]
             target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(self._reference[1])
+            write_file(target, self._reference[1])
         verdict = self._run(root)
         self._ask("worktree", "remove", "--force", str(place))
         step = Step(commit, self._ask("log", "-1", "--format=%s", commit), verdict)

@@ -53,7 +53,7 @@ import hashlib, json, sys
 import numpy as np
 from mitsuba_bezier.cli.main import main
 from mitsuba_bezier.verification.images import read_image
-from mitsuba_bezier.verification.pytest_plugin import _Shot
+from mitsuba_bezier.regression.shot import Shot
 import mitsuba as mi
 
 def digest(channels):
@@ -84,7 +84,7 @@ for _ in range(4):
     result["file"].append(rendered())
     result["part"].append(rendered("--part", "2/2", "--spp-per-pass", "1"))
     for key, scene in (("fixture", sys.argv[1]), ("fixture, dict", dictionary())):
-        shot = _Shot(scene, 2, 0, None)
+        shot = Shot(scene, spp=2)
         image = shot.render(5)
         result[key].append(digest(image.channels[name] for name in sorted(image.channels)))
 print(json.dumps(result))

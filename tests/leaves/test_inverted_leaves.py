@@ -283,8 +283,9 @@ def test_sets_of_mixed_degrees_are_inverted_at_their_own():
     assert patches.degree == 9
     leaves = build_leaves(patches)
     assert leaves.kinds <= INVERTED_KINDS
-    powers = bernstein.multi_indices(9)[:, :2].sum(axis=1)
-    used = [powers[net.any(axis=1)].max() for net in leaves.closed_form.polynomials]
+    nets = leaves.closed_form.polynomials  # of the highest degree among them
+    powers = bernstein.multi_indices(bernstein.degree_of(nets.shape[1]))[:, :2].sum(axis=1)
+    used = [powers[net.any(axis=1)].max() for net in nets]
     assert used == np.where(leaves.patch < 8, 3, 4).tolist()
     assert_hits_are_those_of_the_reference(patches, leaves, others=3e-3)
     # sixteen would be too much for a kernel

@@ -127,7 +127,10 @@ def test_in_a_scene_file(tmp_path, capsys):
 def test_keywords_of_python():
     with pytest.raises(TypeError, match="'control_point'"):
         mb.BezierTriangles(control_point=[])  # type: ignore[call-arg]
-    with pytest.raises(mb.FileFormatError, match=r"encodin: .*\(encoding or trims or attributes\)"):
+    with pytest.raises(
+        mb.FileFormatError,
+        match=r"encodin: .*\(encoding or trims or attributes or fields or edges\)",
+    ):
         save(mb.sphere(), "ball.vtu", encodin="ascii")
 
 

@@ -103,10 +103,11 @@ def test_trials_of_variants(trap):
 
 @NOT_RUN
 def test_only_one_module_starts_a_python():
-    # all others ask it, so that none forgets the current folder
+    # all others ask it, so that none forgets the current folder; but bisect runs the tests of a
+    # checkout there, which are code that one asks for
     package = Path(mb.__file__).parent
     users = [path.name for path in package.rglob("*.py") if "sys.executable" in path.read_text()]
-    assert users == ["_children.py"]
+    assert sorted(users) == ["_children.py", "bisect.py"]
 
 
 @NOT_RUN
@@ -239,7 +240,8 @@ def test_nothing_in_the_package_runs_data():
     words = r"\b(eval|exec|pickle|marshal|shelve|yaml|zipfile|tarfile|shutil\.unpack_archive)\b"
     for path in Path(mb.__file__).parent.rglob("*.py"):
         for line in path.read_text("utf-8").splitlines():
-            code = line.partition("#")[0]
+            # a suffix, whose files are read as plain rows, and words about it
+            code = re.sub(r"[.]yaml\b|``.yaml``|`yaml.dump`", "", line.partition("#")[0])
             found = re.search(words, code)
             # dr.eval and methods of that name compute; NumPy is told not to unpickle
             assert not found or re.search(

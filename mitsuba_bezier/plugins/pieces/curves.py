@@ -10,6 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ..._files import write_file
 from ...errors import GeometryError, VariantError
 from ...geometry.checks import length
 from ...geometry.curves import BezierCurve
@@ -99,7 +100,7 @@ def curve_tubes(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "curves.txt"
         rows = ("\n".join(" ".join(f"{v:.9g}" for v in row) for row in p) for p in pieces)
-        path.write_text("\n\n".join(rows) + "\n", encoding="ascii")
+        write_file(path, ("\n\n".join(rows) + "\n").encode())
         tubes = mi.load_dict(
             {"type": "bsplinecurve", "filename": str(path), "bsdf": LEG if bsdf is None else bsdf}
         )
