@@ -8,11 +8,12 @@ from os import PathLike
 
 import numpy as np
 
-from ..errors import FileFormatError, PrescriptionError
+from ..errors import PrescriptionError
+from ..io.files import damaged
 from .frames import shift, turn
 from .glass import AIR, Medium, glass
 from .lens import Lens, Surface
-from .text import read_prescription_text
+from .text import Statement, columns, read_prescription_text
 
 _UNITS = {"M": "mm", "MM": "mm", "C": "cm", "CM": "cm", "I": "in", "IN": "in"}
 
@@ -90,11 +91,11 @@ class _Table:
         return out.reshape(x.shape)
 
 
-def _statements(text: str) -> list[tuple[int, list[str]]]:
-    """Return line and words of each statement; ``;`` ends one, ``&`` goes on, ``!`` comments."""
+def _statements(path: str | PathLike[str]) -> list[Statement]:
+    """Return the statements of a file; ``;`` ends one, ``&`` goes on, ``!`` comments."""
     out = []
     held, start = "", 1
-    for count, line in enumerate(text.splitlines(), start=1):
+    for count, line in enumerate(read_prescription_text(path).splitlines(), start=1):
         line = re.sub(r"!.*", "", line)
         if not held:
             start = count
@@ -104,7 +105,7 @@ def _statements(text: str) -> list[tuple[int, list[str]]]:
         for part in re.split(r";(?=(?:[^'\"]*['\"][^'\"]*['\"])*[^'\"]*$)", held + line):
             words = re.findall(r"'[^']*'|\"[^\"]*\"|\S+", part)
             if words:
-                out.append((start, words))
+                out.append(Statement(path, start, words))
         held = ""
     return out
 
@@ -123,51 +124,36 @@ def read_codev(path: str | PathLike[str]) -> Lens:
     PrescriptionError
         If a surface or glass is not followed.
     """
-    statements = _statements(read_prescription_text(path))
-    heads = {words[0].upper() for _, words in statements}
-    if not {"SO", "SI"} <= heads:
-        raise FileFormatError(f"{path}: expected CODE V statements SO and SI, got none")
+    statements = _statements(path)
+    if not {"SO", "SI"} <= {said.key.upper() for said in statements}:
+        raise damaged(path, "CODE V statements SO and SI", "none")
     rows: list[_Row] = []
-    head: dict[str, list[str]] = {}
+    head: dict[str, Statement] = {}
     notes: list[str] = []
     private: dict[str, Medium] = {}
     powers: list[float] = []
     by_radius = False
     inside = False
 
-    def number(words: list[str], at: int, line: int) -> float:
-        try:
-            return float(words[at])
-        except (IndexError, ValueError):
-            got = words[at] if at < len(words) else "nothing"
-            raise FileFormatError(
-                f"{path}, line {line}: expected a number as word {at + 1} of {words[0]}, got {got}"
-            ) from None
-
-    for line, words in statements:
-        key = words[0].upper()
+    for said in statements:
+        words, line, key = said.words, said.line, said.key.upper()
         if inside:
             if key == "END":
                 inside = False
             elif key == "PWL":
-                powers = [float(w) for w in words[1:]]
+                powers = said.numbers()
             elif powers and len(words) > 1:
                 name = words[0].strip("'\"")
-                private[name.upper()] = _Table(name, powers, [float(w) for w in words[1:]])
+                private[name.upper()] = _private_glass(name, powers, said)
             continue
         if key == "PRV":
             inside = True
         elif key == "RDM":
             by_radius = words[1:2] == [] or words[1].upper().startswith("Y")
         elif key in ("SO", "SI", "S") or re.fullmatch(r"S\d+", key):
-            if key == "SI" and rows and rows[-1].line == -1:
-                continue
             rows.append(_Row(line))
             row = rows[-1]
-            if len(words) > 1:
-                row.number = number(words, 1, line)
-            if len(words) > 2:
-                row.thickness = number(words, 2, line)
+            row.number, row.thickness = said.number(1, 0.0), said.number(2, 0.0)
             for word in words[3:]:
                 if word.upper() == "REFL":
                     row.mirror = True
@@ -177,7 +163,7 @@ def read_codev(path: str | PathLike[str]) -> Lens:
             rows[-1].stop = True
         elif rows and key == "CIR":
             kinds = [w.upper() for w in words[1:-1]]
-            value = number(words, len(words) - 1, line)
+            value = said.number(max(len(words) - 1, 1))
             if "EDG" in kinds:
                 rows[-1].edge = value
             elif "OBS" in kinds or "HOL" in kinds:
@@ -189,41 +175,36 @@ def read_codev(path: str | PathLike[str]) -> Lens:
         elif rows and key == "CON":
             continue
         elif rows and key == "K":
-            rows[-1].conic = number(words, 1, line)
+            rows[-1].conic = said.number(1)
         elif rows and key in tuple(_COEFFICIENTS) and rows[-1].asphere:
-            rows[-1].coefficients[key] = number(words, 1, line)
+            rows[-1].coefficients[key] = said.number(1)
         elif rows and key in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"):
-            rows[-1].moved[key] = number(words, 1, line)
+            rows[-1].moved[key] = said.number(1)
         elif rows and key in ("DAR", "REV", "BEN"):
             rows[-1].way = key
         elif rows and key == "REFL":
             rows[-1].mirror = True
         elif rows and key == "CUY":
-            rows[-1].number = (
-                number(words, 1, line) if not by_radius else 1 / number(words, 1, line)
-            )
+            curvature = said.number(1)
+            rows[-1].number = 1 / curvature if by_radius and curvature else curvature
         elif rows and key in ("GLA", "GL1"):
             rows[-1].glass = words[-1].strip("'\"")
         elif rows and key == "THI":
-            rows[-1].thickness = number(words, len(words) - 1, line)
+            rows[-1].thickness = said.number(max(len(words) - 1, 1))
         elif rows and key in ("DIF", "HOR", "HWL", "HCT", "HCO", "HCC", "HOE", "SPS", "GRT", "LAM"):
-            said = (
-                f"surface {len(rows) - 1}: {key} (a diffractive or special surface) is not followed"
-            )
+            what = f"{key} (a diffractive or special surface)"
+            note = f"surface {len(rows) - 1}: {what} is not followed"
             if key in ("SPS", "GRT", "LAM"):
-                raise PrescriptionError(f"{path}, line {line}: {said}")
-            notes.append(said)
+                raise PrescriptionError(f"{path}, line {line}: {note}")
+            notes.append(note)
         elif key not in _SILENT:
             notes.append(f"line {line}: {words[0]} is not followed")
         elif key not in head:
-            head[key] = words
+            head[key] = said
     if len(rows) < 3:
         raise PrescriptionError(f"{path}: expected a surface between SO and SI, got none")
 
-    surfaces = [
-        _surface(row, i, by_radius, private, path, notes)
-        for i, row in enumerate(rows[1:-1], start=1)
-    ]
+    surfaces = [_surface(row, by_radius, private, path) for row in rows[1:-1]]
     image = rows[-1]
     if image.moved:
         last = surfaces[-1]
@@ -233,12 +214,12 @@ def read_codev(path: str | PathLike[str]) -> Lens:
         surfaces[-1] = replace(surfaces[-1], thickness=surfaces[-1].thickness + image.thickness)
     far = rows[0].thickness
     kind, fields = _fields(head)
-    wavelengths = [float(w) * 1e-3 for w in head.get("WL", ["WL", "587.5618"])[1:]]
-    reference = int(float(head["REF"][1])) - 1 if "REF" in head else len(wavelengths) // 2
-    factors = [
-        ([float(w) for w in head.get(n, [n])[1:]] + [0.0] * len(fields))[: len(fields)]
-        for n in ("VUX", "VLX", "VUY", "VLY")
-    ]
+    wavelengths = [1e-3 * w for w in head["WL"].numbers()] if "WL" in head else [0.5875618]
+    reference = len(wavelengths) // 2
+    if "REF" in head:
+        reference = head["REF"].whole(1) - 1
+    title = head.get("TITLE", head.get("TIT"))
+    factors = columns(head, ("VUX", "VLX", "VUY", "VLY"), len(fields))
     vignetting = [
         ((lx - ux) / 2, (ly - uy) / 2, (ux + lx) / 2, (uy + ly) / 2)
         for ux, lx, uy, ly in zip(*factors)
@@ -248,15 +229,23 @@ def read_codev(path: str | PathLike[str]) -> Lens:
         object_distance=far if 0 < far < 1e9 else np.inf,
         aperture=_aperture(head),
         wavelengths=wavelengths,
-        weights=[float(w) for w in head["WTW"][1:]] if "WTW" in head else None,
+        weights=head["WTW"].numbers() if "WTW" in head else None,
         reference=min(max(reference, 0), len(wavelengths) - 1),
         field_kind=kind,
         fields=fields,
         vignetting=vignetting,
-        title=" ".join(head.get("TITLE", head.get("TIT", [""]))[1:]).strip("'\" "),
-        unit=_UNITS.get(head.get("DIM", ["DIM", "M"])[1].upper(), "mm"),
+        title=" ".join(title.words[1:]).strip("'\" ") if title else "",
+        unit=_UNITS.get("".join(head["DIM"].words[1:2]).upper(), "mm") if "DIM" in head else "mm",
         notes=notes,
     )
+
+
+def _private_glass(name: str, powers: list[float], said: Statement) -> _Table:
+    indices = said.numbers()
+    if len(indices) != len(powers) or len(set(powers)) < len(powers) or not min(powers) > 0:
+        expected = f"one index at each of {len(powers)} wavelengths, all different and positive"
+        raise damaged(said.path, expected, f"{len(indices)} of glass {name}", line=said.line)
+    return _Table(name, powers, indices)
 
 
 def _basic(moved: dict[str, float]) -> np.ndarray:
@@ -265,12 +254,7 @@ def _basic(moved: dict[str, float]) -> np.ndarray:
 
 
 def _surface(
-    row: _Row,
-    i: int,
-    by_radius: bool,
-    private: dict[str, Medium],
-    path: str | PathLike[str],
-    notes: list[str],
+    row: _Row, by_radius: bool, private: dict[str, Medium], path: str | PathLike[str]
 ) -> Surface:
     medium: Medium = AIR
     if row.glass and not row.mirror:
@@ -319,22 +303,21 @@ def _surface(
     )
 
 
-def _aperture(head: dict[str, list[str]]) -> tuple[str, float] | None:
+def _aperture(head: dict[str, Statement]) -> tuple[str, float] | None:
     for key, kind in (("EPD", "diameter"), ("FNO", "f_number"), ("NAO", "object_na")):
         if key in head:
-            return kind, float(head[key][1])
+            return kind, head[key].number(1)
     return None
 
 
-def _fields(head: dict[str, list[str]]) -> tuple[str, list[tuple[float, float]]]:
+def _fields(head: dict[str, Statement]) -> tuple[str, list[tuple[float, float]]]:
     for kind, names in (
         ("angle", ("XAN", "YAN")),
         ("object_height", ("XOB", "YOB")),
         ("image_height", ("XIM", "YIM")),
         ("image_height", ("XRI", "YRI")),
     ):
-        if names[0] in head or names[1] in head:
-            xs, ys = ([float(w) for w in head.get(n, [n])[1:]] for n in names)
-            count = max(len(xs), len(ys))
-            return kind, list(zip((xs + [0.0] * count)[:count], (ys + [0.0] * count)[:count]))
+        count = max(len(head[name].words) - 1 if name in head else 0 for name in names)
+        if count:
+            return kind, list(zip(*columns(head, names, count)))
     return "angle", [(0.0, 0.0)]

@@ -9,8 +9,9 @@ import numpy as np
 
 from .._files import write_file
 from ..errors import FileFormatError, PrescriptionError, RuntimeSetupError
-from .beams import beam, spot, used_semi_diameters
+from .beams import beam, pupil_grid, spot
 from .lens import Lens
+from .patches import clear_radii
 from .trace import trace
 
 #: Colours of fields that differ in print and to colour-blind eyes (Okabe and Ito 2008).
@@ -28,15 +29,6 @@ def _figure(width: float, height: float) -> Any:
             "pip install 'mitsuba-bezier[optics]'"
         ) from None
     return Figure(figsize=(width, height), layout="constrained")
-
-
-def _sizes(lens: Lens) -> np.ndarray:
-    given = np.array([s.semi_diameter for s in lens.surfaces])
-    if np.isfinite(given).all():
-        return given
-    used = 1.05 * used_semi_diameters(lens)
-    reach = np.array([s.reach() for s in lens.surfaces])
-    return np.where(np.isfinite(given), given, np.minimum(used, 0.999 * reach))
 
 
 def draw_section(lens: Lens, rays: int = 7) -> Any:
@@ -61,17 +53,16 @@ def draw_section(lens: Lens, rays: int = 7) -> Any:
     """
     figure = _figure(16, 9)
     axes = figure.add_subplot()
-    sizes = _sizes(lens)
+    sizes = clear_radii(lens)
     frames = lens.frames()
     profiles = []
     for s, size, frame in zip(lens.surfaces, sizes, frames):
         y = np.linspace(-size, size, 121)
         local = np.stack([0 * y, y, s.sag(np.abs(y)), np.ones_like(y)], axis=1)
         profiles.append((local @ frame.T)[:, [2, 1]])
-    media = lens.media()
+    media, index = lens.media(), lens.indices(lens.wavelengths[lens.reference])
     for i, (s, line) in enumerate(zip(lens.surfaces, profiles)):
-        glassy = lens.indices(lens.wavelengths[lens.reference])[i + 1] > 1.0001
-        if glassy and i + 1 < len(profiles):
+        if index[i + 1] > 1.0001 and i + 1 < len(profiles):
             other = profiles[i + 1]
             ring = np.concatenate([line, other[::-1], line[:1]])
             axes.fill(*ring.T, facecolor="#dbe9f4", edgecolor="#34495e", linewidth=1.2, zorder=1)
@@ -130,8 +121,6 @@ def draw_spots(lens: Lens, rings: int = 12) -> Any:
     RuntimeSetupError
         Without matplotlib.
     """
-    from .beams import pupil_grid
-
     fields = list(dict.fromkeys((float(x), float(y)) for x, y in lens.fields))
     figure = _figure(16, 16 / max(len(fields), 3) + 1.5)
     panels = figure.subplots(1, len(fields), squeeze=False)[0]

@@ -179,36 +179,49 @@ class Lens:
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        def fail(parameter: str, expected: str, got: object) -> None:
-            raise PrescriptionError(f"{parameter}: expected {expected}, got {got}")
-
         if not self.surfaces:
-            fail("surfaces", "one surface at least", "none")
+            raise PrescriptionError.expected("surfaces", "one surface at least", "none")
         stops = [i for i, s in enumerate(self.surfaces) if s.stop]
         if len(stops) > 1:
-            fail("stop", "one surface", f"surfaces {', '.join(str(i + 1) for i in stops)}")
+            raise PrescriptionError.expected(
+                "stop", "one surface", f"surfaces {', '.join(str(i + 1) for i in stops)}"
+            )
         if not self.object_distance > 0:
-            fail("object_distance", "a positive number or infinity", self.object_distance)
+            raise PrescriptionError.expected(
+                "object_distance", "a positive number or infinity", self.object_distance
+            )
         if self.aperture is not None:
             kind, value = self.aperture
             if kind not in APERTURES:
-                fail("aperture", f"one of {', '.join(APERTURES)}", repr(kind))
+                raise PrescriptionError.expected(
+                    "aperture", f"one of {', '.join(APERTURES)}", repr(kind)
+                )
             if kind != "stop" and not 0 < value < np.inf:
-                fail(f"aperture {kind}", "a positive number", value)
+                raise PrescriptionError.expected(f"aperture {kind}", "a positive number", value)
         if self.field_kind not in FIELDS:
-            fail("field_kind", f"one of {', '.join(FIELDS)}", repr(self.field_kind))
+            raise PrescriptionError.expected(
+                "field_kind", f"one of {', '.join(FIELDS)}", repr(self.field_kind)
+            )
         if not self.wavelengths or not all(0 < w < np.inf for w in self.wavelengths):
-            fail("wavelengths", "positive numbers, in micrometres", list(self.wavelengths))
+            raise PrescriptionError.expected(
+                "wavelengths", "positive numbers, in micrometres", list(self.wavelengths)
+            )
         if not 0 <= self.reference < len(self.wavelengths):
-            fail("reference", f"an index below {len(self.wavelengths)}", self.reference)
+            raise PrescriptionError.expected(
+                "reference", f"an index below {len(self.wavelengths)}", self.reference
+            )
         for i, s in enumerate(self.surfaces, start=1):
             numbers = [s.curvature, s.thickness, s.conic, *s.coefficients]
             if not np.isfinite(numbers).all():
-                fail(f"surface {i}", "finite curvature, thickness, conic, coefficients", numbers)
+                raise PrescriptionError.expected(
+                    f"surface {i}", "finite curvature, thickness, conic, coefficients", numbers
+                )
             if not s.semi_diameter > 0:
-                fail(f"semi-diameter of surface {i}", "a positive number", s.semi_diameter)
+                raise PrescriptionError.expected(
+                    f"semi-diameter of surface {i}", "a positive number", s.semi_diameter
+                )
             if np.isfinite(s.semi_diameter) and s.semi_diameter > s.reach() * (1 + 1e-9):
-                fail(
+                raise PrescriptionError.expected(
                     f"semi-diameter of surface {i}",
                     f"at most {s.reach():.6g}, where the conic ends",
                     f"{s.semi_diameter:.6g}",
@@ -281,7 +294,7 @@ class Lens:
     def scaled(self, factor: float) -> Lens:
         """Return the lens `factor` times as large, with beams and fields of lengths as well."""
         if not (np.isfinite(factor) and factor > 0):
-            raise PrescriptionError(f"factor: expected a positive number, got {factor}")
+            raise PrescriptionError.expected("factor", "a positive number", factor)
 
         def moved(matrix: np.ndarray) -> np.ndarray:
             out = np.array(matrix, float)

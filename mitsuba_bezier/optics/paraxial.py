@@ -155,7 +155,7 @@ def first_order(lens: Lens, wavelength: float | None = None) -> FirstOrder:
         behind = systems[-1] @ np.linalg.inv(systems[i])
         exit_ = np.divide(-behind[0, 1] * n1, behind[1, 1])
 
-        diameter, stop_size = _beam(lens, n, before, entrance, focal, systems)
+        diameter, stop_size = _beam(lens, n[0], before, entrance, focal)
         exit_diameter = np.abs(2 * stop_size * (behind[0, 0] + behind[1, 0] * exit_ / n1))
         f_number = np.abs(np.divide(focal, diameter))
         if np.isfinite(lens.object_distance):
@@ -199,38 +199,29 @@ def _up_to(lens: Lens, systems: np.ndarray, n: np.ndarray, i: int) -> np.ndarray
 
 
 def _beam(
-    lens: Lens,
-    n: np.ndarray,
-    before: np.ndarray,
-    entrance: float,
-    focal: float,
-    systems: np.ndarray,
+    lens: Lens, first: float, before: np.ndarray, entrance: float, focal: float
 ) -> tuple[float, float]:
     """Return the entrance pupil's diameter and half the size of the stop."""
-    magnified = (
-        before[0, 0] if before[0, 0] else np.nan
-    )  # heights at the stop over those in the pupil
-    stop = lens.surfaces[lens.stop]
-    if lens.aperture is None or lens.aperture[0] == "stop":
-        size = stop.semi_diameter
-        if lens.aperture is not None and lens.aperture[1] and lens.aperture[1] > 0:
-            size = lens.aperture[1]
+    # heights at the stop over those in the pupil
+    magnified = before[0, 0] if before[0, 0] else np.nan
+    kind, value = lens.aperture or ("stop", 0.0)
+    if kind == "stop":
+        size = value if value > 0 else lens.surfaces[lens.stop].semi_diameter
         if not np.isfinite(size):
             return np.nan, np.nan
         return abs(2 * size / magnified), size
-    kind, value = lens.aperture
     if kind == "diameter":
         diameter = value
     elif kind == "f_number":
         diameter = abs(focal / value)
     else:  # object-space numerical aperture
         if not np.isfinite(lens.object_distance):
-            raise PrescriptionError(
-                "aperture object_na: expected an object at a finite distance, got one at infinity"
+            raise PrescriptionError.expected(
+                "aperture object_na", "an object at a finite distance", "one at infinity"
             )
-        sine = value / abs(n[0])
+        sine = value / abs(first)
         if not 0 < sine < 1:
-            raise PrescriptionError(f"aperture object_na: expected a number below n, got {value}")
+            raise PrescriptionError.expected("aperture object_na", "a number below n", value)
         slope = sine / np.sqrt(1 - sine * sine)
         diameter = 2 * slope * (lens.object_distance + entrance)
     return diameter, abs(diameter / 2 * magnified)

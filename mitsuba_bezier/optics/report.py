@@ -56,13 +56,9 @@ def report(lens: Lens) -> str:
     out = [f"{lens.title or 'Lens'}: lengths in {unit}, at {data.wavelength:.4f} micrometres"]
     out += [f"{name:<39}{_number(value)}" for name, value in rows if not np.isnan(value)]
     table = [("surface", "radius", "thickness", "medium", "semi-diameter", "conic", "")]
-    media = lens.media()
+    media, index = lens.media(), lens.indices(data.wavelength)
     for i, s in enumerate(lens.surfaces):
-        what = (
-            "mirror"
-            if s.mirror
-            else (media[i + 1].name or f"n = {lens.indices(data.wavelength)[i + 1]:.5f}")
-        )
+        what = "mirror" if s.mirror else (media[i + 1].name or f"n = {index[i + 1]:.5f}")
         marks = " stop" if i == lens.stop and s.stop else ""
         marks += f" asphere to r^{2 * len(s.coefficients)}" if not s.is_conic else ""
         size = "-" if not np.isfinite(s.semi_diameter) else _number(s.semi_diameter)

@@ -9,6 +9,7 @@ from os import PathLike
 import numpy as np
 
 from ..errors import FileFormatError, PrescriptionError
+from ..io.files import damaged
 from .glass import AIR, Abbe, Constant, Medium, glass
 from .lens import Lens, Surface
 from .text import read_prescription_text
@@ -27,6 +28,9 @@ COLUMNS = {
     "stop": ("stop",),
     "label": ("label", "comment", "name"),
 }
+
+#: Columns of the even polynomial, and their powers of r.
+_POWERS = {f"a{power}": power for power in range(2, 41, 2)}
 
 _SETTINGS = (
     "title",
@@ -79,37 +83,29 @@ def read_csv(path: str | PathLike[str]) -> Lens:
         elif line.strip():
             body.append((count, line))
     if not body:
-        raise FileFormatError(f"{path}: expected a header and rows of surfaces, got an empty table")
+        raise damaged(path, "a header and rows of surfaces", "an empty table")
     names = {name: column for column, all_ in COLUMNS.items() for name in all_}
     header = [cell.strip().lower() for cell in next(csv.reader([body[0][1]]))]
     columns: list[str | int] = []
     for cell in header:
         if cell in names:
             columns.append(names[cell])
-        elif (
-            cell[:1] == "a" and cell[1:].isdigit() and int(cell[1:]) % 2 == 0 and int(cell[1:]) > 0
-        ):
-            columns.append(int(cell[1:]))
+        elif cell in _POWERS:
+            columns.append(_POWERS[cell])
         else:
             near = difflib.get_close_matches(cell, names, n=2)
             hint = f" (nearest: {', '.join(near)})" if near else ""
-            raise FileFormatError(
-                f"{path}, line {body[0][0]}: expected columns {', '.join(COLUMNS)}, a2, a4, ..., "
-                f"got {cell!r}{hint}"
-            )
+            expected = f"columns {', '.join(COLUMNS)}, a2, a4, ..."
+            raise damaged(path, expected, f"{cell!r}{hint}", line=body[0][0])
     if "thickness" not in columns or not {"radius", "curvature"} & set(map(str, columns)):
-        raise FileFormatError(
-            f"{path}, line {body[0][0]}: expected columns radius and thickness, got "
-            + ", ".join(header)
-        )
+        raise damaged(path, "columns radius and thickness", ", ".join(header), line=body[0][0])
     surfaces = []
     for count, line in body[1:]:
         cells = next(csv.reader([line]))
-        where = f"{path}, line {count}"
         if len(cells) > len(columns):
-            raise FileFormatError(f"{where}: expected {len(columns)} cells, got {len(cells)}")
+            raise damaged(path, f"{len(columns)} cells", len(cells), line=count)
         row = {c: cell.strip() for c, cell in zip(columns, cells) if cell.strip()}
-        surfaces.append(_surface(row, where))
+        surfaces.append(_surface(row, f"{path}, line {count}"))
     return _lens(surfaces, settings, path)
 
 
@@ -169,12 +165,15 @@ def _lens(surfaces: list[Surface], settings: dict[str, str], path: str | PathLik
         (0.0, _number(w, where, "fields"))
         for w in settings.get("fields", "0").replace(",", " ").split()
     ]
+    reference = _number(settings.get("reference", "1"), where, "reference")
+    if not 1 <= reference < np.inf:  # how many there are is checked by the lens
+        raise damaged(path, "a reference from 1 on", settings["reference"])
     return Lens(
         surfaces,
         object_distance=_number(settings.get("object", "inf"), where, "object"),
         aperture=aperture,
         wavelengths=waves,
-        reference=int(_number(settings.get("reference", "1"), where, "reference")) - 1,
+        reference=int(reference) - 1,
         field_kind=settings.get("field_kind", "angle"),
         fields=fields,
         title=settings.get("title", ""),
@@ -198,11 +197,10 @@ def read_pbrt(path: str | PathLike[str]) -> Lens:
         words = line.split("#")[0].replace(",", " ").split()
         if not words or (len(words) == 1 and not surfaces):
             continue
-        where = f"{path}, line {count}"
         if len(words) != 4:
-            raise FileFormatError(
-                f"{where}: expected radius, thickness, index and diameter, got {len(words)} words"
-            )
+            expected = "radius, thickness, index and diameter"
+            raise damaged(path, expected, f"{len(words)} words", line=count)
+        where = f"{path}, line {count}"
         radius, thickness, n, diameter = (_number(w, where, "cell") for w in words)
         surfaces.append(
             Surface(
@@ -214,5 +212,5 @@ def read_pbrt(path: str | PathLike[str]) -> Lens:
             )
         )
     if not surfaces:
-        raise FileFormatError(f"{path}: expected rows of four numbers, got none")
+        raise damaged(path, "rows of four numbers", "none")
     return Lens(surfaces, aperture=("stop", 0.0))

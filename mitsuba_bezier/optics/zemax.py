@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 
 import numpy as np
 
-from ..errors import FileFormatError, PrescriptionError
+from ..errors import PrescriptionError
+from ..io.files import damaged
 from .frames import shift, turn
 from .glass import AIR, Abbe, Medium, glass
 from .lens import Lens, Surface
-from .text import read_prescription_text
+from .text import Statement, columns, read_prescription_text
 
 _UNITS = {"MM": "mm", "CM": "cm", "IN": "in", "INCH": "in", "M": "m", "METER": "m", "METERS": "m"}
 
@@ -48,14 +49,12 @@ _APERTURES = {
 class _Row:
     """One SURF block, as written."""
 
-    line: int
     kind: str = "STANDARD"
     curvature: float = 0.0
     thickness: float = 0.0
     glass: list[str] = field(default_factory=list)
     conic: float = 0.0
     diameter: float = 0.0
-    given: bool = False
     inner: float = 0.0
     outer: float = 0.0
     stop: bool = False
@@ -80,83 +79,64 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
     text = read_prescription_text(path)
     lines = text.splitlines()
     if not any(line.startswith("SURF ") for line in lines):
-        raise FileFormatError(f"{path}: expected a Zemax lens file with lines SURF, got none")
-    head: dict[str, list[str]] = {}
+        raise damaged(path, "a Zemax lens file with lines SURF", "none")
+    head: dict[str, Statement] = {}
     rows: list[_Row] = []
     notes: list[str] = []
     waves: dict[int, tuple[float, float]] = {}
-    silent = True
-
-    def number(words: list[str], at: int, line: int) -> float:
-        try:
-            return float(words[at])
-        except (IndexError, ValueError):
-            got = words[at] if at < len(words) else "nothing"
-            raise FileFormatError(
-                f"{path}, line {line}: expected a number as word {at + 1} of {words[0]}, got {got}"
-            ) from None
 
     for count, line in enumerate(lines, start=1):
         words = line.split()
         if not words:
             continue
         key = words[0]
+        said = Statement(path, count, words)
         if key == "SURF":
-            rows.append(_Row(count))
+            rows.append(_Row())
             continue
         row = rows[-1] if rows and line[:1].isspace() else None
         if row is None:
             if key == "WAVM":
-                waves[int(number(words, 1, count))] = (
-                    number(words, 2, count),
-                    number(words, 3, count) if len(words) > 3 else 1.0,
-                )
+                waves[said.whole(1)] = said.number(2), said.number(3, 1.0)
             elif key == "MODE" and len(words) > 1 and words[1] != "SEQ":
                 raise PrescriptionError(f"{path}: expected MODE SEQ, got MODE {words[1]}")
             elif key not in head:
-                head[key] = words
+                head[key] = said
+                if key not in _SILENT:
+                    notes.append(f"{key} is not followed")
         elif key == "TYPE":
             row.kind = words[1] if len(words) > 1 else "STANDARD"
         elif key == "CURV":
-            row.curvature = number(words, 1, count)
+            row.curvature = said.number(1)
         elif key == "DISZ":
-            row.thickness = np.inf if words[1:2] == ["INFINITY"] else number(words, 1, count)
+            row.thickness = np.inf if words[1:2] == ["INFINITY"] else said.number(1)
         elif key == "GLAS":
             row.glass = words[1:]
         elif key == "CONI":
-            row.conic = number(words, 1, count)
+            row.conic = said.number(1)
         elif key == "DIAM":
-            row.diameter = number(words, 1, count)
-            row.given = len(words) > 2 and words[2] not in ("0",)
+            row.diameter = said.number(1)
         elif key in ("CLAP", "FLAP"):
-            row.inner, row.outer = number(words, 1, count), number(words, 2, count)
+            row.inner, row.outer = said.number(1), said.number(2)
         elif key == "OBSC":
-            row.inner = number(words, 2, count)
+            row.inner = said.number(2)
         elif key == "STOP":
             row.stop = True
         elif key == "COMM":
             row.comment = line.split("COMM", 1)[1].strip()
         elif key == "PARM":
-            row.parameters[int(number(words, 1, count))] = number(words, 2, count)
+            row.parameters[said.whole(1)] = said.number(2)
         elif key in _APERTURES:
             row.notes.append(f"{_APERTURES[key]} is not followed")
         elif key not in _SILENT:
             row.notes.append(f"{key} is not followed")
-            silent = False
-    for key in head:
-        if key not in _SILENT and silent:
-            notes.append(f"{key} is not followed")
 
-    unit = _UNITS.get(head.get("UNIT", ["UNIT", "MM"])[1].upper(), "mm")
+    unit = _words(head, "UNIT")[:1]
     wavelengths, weights, reference = _wavelengths(head, waves)
     kind, fields = _fields(head)
-    factors = [
-        ([float(w) for w in head.get(n, [n])[1:]] + [0.0] * len(fields))[: len(fields)]
-        for n in ("VDXN", "VDYN", "VCXN", "VCYN")
-    ]
+    factors = columns(head, ("VDXN", "VDYN", "VCXN", "VCYN"), len(fields))
     object_distance = rows[0].thickness if rows else np.inf
-    surfaces, said = _surfaces(rows[1:-1], path)
-    notes += said
+    surfaces = _surfaces(rows[1:-1], path, notes)
     return Lens(
         surfaces,
         object_distance=object_distance if object_distance > 0 else np.inf,
@@ -167,10 +147,15 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
         field_kind=kind,
         fields=fields,
         vignetting=list(zip(*factors)),
-        title=" ".join(head.get("NAME", ["NAME"])[1:]),
-        unit=unit,
+        title=" ".join(_words(head, "NAME")),
+        unit=_UNITS.get(unit[0].upper(), "mm") if unit else "mm",
         notes=notes,
     )
+
+
+def _words(head: dict[str, Statement], key: str) -> list[str]:
+    """Return the words behind a keyword; none if it is missing."""
+    return list(head[key].words[1:]) if key in head else []
 
 
 def _medium(row: _Row, where: str, notes: list[str]) -> Medium:
@@ -200,9 +185,8 @@ def _medium(row: _Row, where: str, notes: list[str]) -> Medium:
         return Abbe(numbers[0], numbers[1], name)
 
 
-def _surfaces(rows: list[_Row], path: str | PathLike[str]) -> tuple[list[Surface], list[str]]:
+def _surfaces(rows: list[_Row], path: str | PathLike[str], notes: list[str]) -> list[Surface]:
     surfaces: list[Surface] = []
-    notes: list[str] = []
     motion = np.eye(4)  # of coordinate breaks since the last surface
     for number, row in enumerate(rows, start=1):
         where = f"surface {number}"
@@ -247,28 +231,23 @@ def _surfaces(rows: list[_Row], path: str | PathLike[str]) -> tuple[list[Surface
         motion = np.eye(4)
     if surfaces and not np.array_equal(motion, np.eye(4)):
         last = surfaces[-1]  # breaks before the image
-        surfaces[-1] = Surface(
-            **{**vars(last), "after": shift(z=last.thickness) @ motion, "thickness": 0.0}
-        )
-    return surfaces, notes
+        surfaces[-1] = replace(last, after=shift(z=last.thickness) @ motion, thickness=0.0)
+    return surfaces
 
 
-def _aperture(head: dict[str, list[str]]) -> tuple[str, float] | None:
+def _aperture(head: dict[str, Statement]) -> tuple[str, float] | None:
     for key, kind in (("ENPD", "diameter"), ("FNUM", "f_number"), ("OBNA", "object_na")):
-        if key in head and len(head[key]) > 1:
-            value = float(head[key][1])
-            if value > 0:
-                return kind, value
-    if "FLOA" in head:
-        return "stop", 0.0
-    return None
+        value = head[key].number(1, 0.0) if key in head else 0.0
+        if value > 0:
+            return kind, value
+    return ("stop", 0.0) if "FLOA" in head else None
 
 
 def _wavelengths(
-    head: dict[str, list[str]], waves: dict[int, tuple[float, float]]
+    head: dict[str, Statement], waves: dict[int, tuple[float, float]]
 ) -> tuple[list[float], list[float], int]:
-    count = int(float(head["FTYP"][4])) if len(head.get("FTYP", [])) > 4 else 0
-    primary = int(float(head.get("PWAV", ["PWAV", "1"])[1]))
+    count = head["FTYP"].whole(4, 0) if "FTYP" in head else 0
+    primary = head["PWAV"].whole(1, 1) if "PWAV" in head else 1
     if waves:
         ordered = [waves[i] for i in sorted(waves)]
         if not 0 < count <= len(ordered):
@@ -277,21 +256,20 @@ def _wavelengths(
         ordered = ordered[: max(count, 1)]
         values, weights = [w for w, _ in ordered], [s for _, s in ordered]
     elif "WAVL" in head:
-        values = [float(w) for w in head["WAVL"][1:]]
-        weights = [float(w) for w in head.get("WWGT", ["WWGT"])[1:]] or [1.0] * len(values)
+        values = head["WAVL"].numbers()
+        weights = head["WWGT"].numbers() if "WWGT" in head else []
+        weights = weights or [1.0] * len(values)
     else:
         values, weights = [0.5875618], [1.0]
     return values, weights, min(max(primary - 1, 0), len(values) - 1)
 
 
-def _fields(head: dict[str, list[str]]) -> tuple[str, list[tuple[float, float]]]:
+def _fields(head: dict[str, Statement]) -> tuple[str, list[tuple[float, float]]]:
     kinds = {0: "angle", 1: "object_height", 2: "image_height", 3: "image_height"}
-    words = head.get("FTYP", ["FTYP", "0"])
-    kind = kinds.get(int(float(words[1])), "angle")
-    xs = [float(w) for w in head.get("XFLN", head.get("XFLD", ["XFLN"]))[1:]]
-    ys = [float(w) for w in head.get("YFLN", head.get("YFLD", ["YFLN"]))[1:]]
-    count = int(float(words[3])) if len(words) > 3 else max(len(xs), len(ys))
-    count = max(count, 1)
-    xs = (xs + [0.0] * count)[:count]
-    ys = (ys + [0.0] * count)[:count]
-    return kind, list(zip(xs, ys))
+    names = [new if new in head else old for new, old in (("XFLN", "XFLD"), ("YFLN", "YFLD"))]
+    listed = max(len(_words(head, name)) for name in names)
+    kind, count = "angle", listed
+    if "FTYP" in head:
+        kind = kinds.get(head["FTYP"].whole(1, 0), "angle")
+        count = min(head["FTYP"].whole(3, listed), listed)
+    return kind, list(zip(*columns(head, names, max(count, 1))))

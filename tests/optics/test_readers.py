@@ -166,6 +166,21 @@ BAD = {
     "cells.csv": ("radius, thickness\n1, 2, 3\n", "line 2: expected 2 cells, got 3"),
     "none.csv": ("# title: x\n", "expected a header"),
     "words.dat": ("1 2 3\n", "line 1: expected radius, thickness, index and diameter"),
+    "beam.zmx": (
+        ZEMAX.replace("ENPD 10", "ENPD ten"),
+        "line 5: expected a number as word 2 of ENPD",
+    ),
+    "fields.zmx": (ZEMAX.replace("YFLN 0 3", "YFLN 0 x"), "line 8: expected a number.*got x"),
+    "count.zmx": (ZEMAX.replace("FTYP 0 0 2 3", "FTYP 0 0 2 inf"), "line 6: .*a whole number"),
+    "waves.seq": (CODEV.replace("WL 650", "WL red"), "line 5: expected a number.*got red"),
+    "reference.seq": (CODEV.replace("REF 2", "REF"), "line 6: expected a number.*got nothing"),
+    "beam.seq": (CODEV.replace("EPD 50", "EPD"), "line 3: expected a number.*got nothing"),
+    "glass.seq": (
+        CODEV.replace("SO 0", "PRV\nPWL 600 500\n'own' 1.5\nEND\nSO 0"),
+        "line 10: expected one index at each of 2 wavelengths",
+    ),
+    "reference.csv": ("# reference: inf\nradius, thickness\n1, 2\n", "a reference from 1 on"),
+    "power.csv": ("radius, thickness, a99999998\n1, 2, 3\n", "got 'a99999998'"),
     "what.txt": ("1", "expected a prescription .*what.txt"),
 }
 
@@ -230,3 +245,14 @@ def test_the_command_reports_and_draws(tmp_path, capsys):
     )
     assert section.read_text().count("<path") > 10
     assert main(["lens", str(path), "--section", str(tmp_path / "s.gif")]) == 2
+
+
+def test_a_number_of_fields_is_no_more_than_are_listed(tmp_path):
+    text = ZEMAX.replace("FTYP 0 0 2 3", "FTYP 0 0 99999999999 3")
+    assert load(write(tmp_path, "a.zmx", text)).fields == [(0, 0), (0, 3)]
+
+
+def test_all_that_is_not_followed_is_told(tmp_path):
+    text = ZEMAX.replace("PWAV 2", "PWAV 2\nQQQQ 1").replace("  SQAP 3 3", "  SQAP 3 3\n  RRRR 1")
+    notes = load(write(tmp_path, "a.zmx", text)).notes
+    assert "QQQQ is not followed" in notes and any("RRRR" in note for note in notes)
