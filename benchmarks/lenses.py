@@ -12,7 +12,6 @@ mean square) from both.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +23,7 @@ from rich.table import Table
 import mitsuba_bezier as mb  # before anything imports Dr.Jit
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.optics import (
-    AIR,
-    Constant,
     Lens,
-    Surface,
     beam,
     first_order,
     load,
@@ -39,36 +35,12 @@ from mitsuba_bezier.optics import (
 from mitsuba_bezier.optics.trace import refract
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))  # the lenses of the tests
+
+from optics_cases import lens_of, recorded  # noqa: E402
 
 #: Largest distance on the image, over the focal length.
 REQUIRED = 2e-5
-
-
-def recorded() -> dict[str, Lens]:
-    """Return the lenses that Optiland brings, with the indices of their glass."""
-    report = json.loads((ROOT / "tests/optics/optiland.json").read_text())["lenses"]
-    lenses = {}
-    for name, record in report.items():
-        rows = record["surfaces"]
-        kind, value = record["aperture"]
-        lenses[name] = Lens(
-            [
-                Surface(
-                    curvature=row["curvature"],
-                    thickness=rows[i + 1]["z"] - row["z"],
-                    medium=AIR if row["mirror"] else Constant(row["n"]),
-                    conic=row["conic"],
-                    mirror=row["mirror"],
-                    stop=row["stop"],
-                )
-                for i, row in enumerate(rows[1:-1], start=1)
-            ],
-            aperture=({"EPD": "diameter", "imageFNO": "f_number"}[kind], value),
-            wavelengths=[record["wavelength"]],
-            fields=[(0.0, 0.0), (0.0, 0.7 * record["field"]), (0.0, record["field"])],
-            title=name,
-        )
-    return lenses
 
 
 def by_kernels(lens: Lens, o: np.ndarray, d: np.ndarray, wavelength: float) -> np.ndarray:
@@ -119,7 +91,10 @@ def main() -> int:
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    lenses = recorded()
+    lenses = {}
+    for name, record in recorded().items():
+        lens, largest = lens_of(record), record["field"]
+        lenses[name] = replace(lens, fields=[(0.0, h * largest) for h in (0, 0.7, 1)], title=name)
     for path in sorted((ROOT / "scenes/lenses").glob("*.csv")):
         lenses[path.stem] = load(path)
     table = Table(title="Lenses of patches against the float64 trace")

@@ -21,22 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from signals import SCENE
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.cli import main
 from mitsuba_bezier.verification.images import read_image
-
-SCENE = """<scene version="3.0.0">
-  <integrator type="path"/>
-  <sensor type="perspective">
-    <transform name="to_world"><lookat origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
-    <film type="hdrfilm"><integer name="width" value="256"/><integer name="height" value="256"/>
-      <rfilter type="box"/></film>
-  </sensor>
-  <shape type="beziertriangle"><string name="filename" value="ball.vtu"/></shape>
-  <emitter type="constant"/>
-</scene>
-"""
 
 
 def damage() -> None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from mitsuba_bezier.cli import main
+
 INTEGRATOR = '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>'
 BEZIER = '<shape type="beziertriangle"><string name="filename" value="{}"/><ref id="gray"/></shape>'
 SPHERE = '<shape type="sphere"><ref id="gray"/></shape>'
@@ -32,3 +36,11 @@ def scene(
   {shapes}
   <emitter type="constant"/>
 </scene>"""
+
+
+def render(*words: str | Path) -> int:
+    """Run ``mitsuba-bezier render`` in this process and return its exit code."""
+    try:
+        return main.main(["render", *map(str, words)])
+    except SystemExit as end:
+        return int(end.code or 0)

@@ -20,14 +20,25 @@ from .projective import affine, count, number, numbers
 __all__ = ["BSplineCurve", "basis_functions", "checked_knots", "uniform_knots"]
 
 
-def checked_knots(name: str, knots: Any, degree: int, points: int) -> np.ndarray:
+def checked_knots(
+    name: str, knots: Any, degree: int, points: int, gaps: bool = False
+) -> np.ndarray:
     """Return a knot vector as float64 array.
+
+    Parameters
+    ----------
+    name : str
+        Its name in messages.
+    knots : (points + degree + 1,) array_like
+    degree, points : int
+    gaps : bool
+        Whether the curve may come apart: at inner knots repeated more than `degree` times.
 
     Raises
     ------
     GeometryError
-        If there are not ``points + degree + 1`` finite knots that do not fall, an inner one
-        is repeated more than `degree` times, or the domain has no length.
+        If there are not ``points + degree + 1`` finite knots that do not fall, the domain has no
+        length, or the curve comes apart and may not.
     """
     t = numbers(knots, name)
     if t.shape != (points + degree + 1,):
@@ -37,11 +48,11 @@ def checked_knots(name: str, knots: Any, degree: int, points: int) -> np.ndarray
             f"shape {t.shape}",
         )
     if (np.diff(t) < 0).any():
-        raise GeometryError.expected(name, "knots that do not fall", f"{t.tolist()}")
+        raise GeometryError.expected(name, "finite knots that do not fall", f"{t.tolist()}")
     if not t[degree] < t[points]:
         raise GeometryError.expected(name, "a domain of positive length", f"{t.tolist()}")
     inside = t[(t > t[degree]) & (t < t[points])]
-    if len(inside) and np.unique(inside, return_counts=True)[1].max() > degree:
+    if not gaps and len(inside) and np.unique(inside, return_counts=True)[1].max() > degree:
         raise GeometryError.expected(
             name, f"inner knots at most {degree} times", "one repeated more often: a gap"
         )

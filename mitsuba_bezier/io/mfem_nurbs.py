@@ -66,7 +66,7 @@ class _Patches:
         self.edge_counts = np.full(topology.edges, -1)
         for e, (kind, own) in enumerate(zip(topology.geometry.tolist(), self.knots)):
             for pair, number in zip(GEOMETRIES[kind][1], topology.edge_numbers[e]):
-                count = own[_direction(kind, *pair)].count - 2
+                count = own[_direction(*pair)].count - 2
                 if self.edge_counts[number] not in (-1, count):
                     raise damaged(
                         str(self.path), "edges with one number of control points", "several"
@@ -81,7 +81,7 @@ class _Patches:
             if kind == 5:
                 for f, number in enumerate(topology.face_numbers[e]):
                     a, b, _c, d = GEOMETRIES[5][2][f]
-                    m, n = (own[_direction(5, a, x)].count - 2 for x in (b, d))
+                    m, n = (own[_direction(a, x)].count - 2 for x in (b, d))
                     face_counts[number] = m * n
         self.face_start = self.edge_start[-1] + np.concatenate([[0], np.cumsum(face_counts)])
         self.start = self.face_start[-1] + np.concatenate([[0], np.cumsum(inside)])
@@ -122,8 +122,8 @@ class _Patches:
         a, b, _c, d = GEOMETRIES[kind][2][f]
         out = []
         for x in (b, d):
-            knots = self.knots[e][_direction(kind, a, x)]
-            out.append(knots if _forward(kind, a, x) else knots.turned())
+            knots = self.knots[e][_direction(a, x)]
+            out.append(knots if _forward(a, x) else knots.turned())
         return out[0], out[1]
 
     def slice_of(self, e: int, f: int, values: np.ndarray) -> np.ndarray:
@@ -140,11 +140,11 @@ class _Patches:
         return values[at[..., 0], at[..., 1], at[..., 2]]
 
 
-def _direction(kind: int, a: int, b: int) -> int:
+def _direction(a: int, b: int) -> int:
     return int(np.flatnonzero(_CUBE[a] - _CUBE[b])[0])
 
 
-def _forward(kind: int, a: int, b: int) -> bool:
+def _forward(a: int, b: int) -> bool:
     return bool((_CUBE[b] - _CUBE[a]).sum() > 0)
 
 

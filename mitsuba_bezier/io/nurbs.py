@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry.splines import checked_knots
 
 __all__ = ["bezier_matrices", "check_knots", "curve_to_bezier", "surface_to_bezier"]
 
@@ -36,22 +37,12 @@ def check_knots(knots: Any, degree: int, count: int, parameter: str = "knots") -
     GeometryError
         If the length is wrong, a knot is not finite or falls, or no span has a length.
     """
-    knots = np.asarray(knots, dtype=np.float64)
     if degree < 1 or count <= degree:
         raise GeometryError.expected(
             parameter, "degree >= 1 and more control points than that", f"{degree} and {count}"
         )
-    if knots.shape != (count + degree + 1,):
-        raise GeometryError.expected(
-            parameter,
-            f"{count + degree + 1} knots for {count} control points of degree {degree}",
-            f"{knots.shape}",
-        )
-    if not np.isfinite(knots).all() or (np.diff(knots) < 0).any():
-        raise GeometryError.expected(parameter, "finite knots that do not fall", "others")
-    if not knots[degree] < knots[count]:
-        raise GeometryError.expected(parameter, "a domain of positive length", "none")
-    return knots
+    # a knot may be repeated more often than the degree: such curves come apart there
+    return checked_knots(parameter, knots, degree, count, gaps=True)
 
 
 #: Numbers in the matrices of intervals that are found together.

@@ -100,7 +100,6 @@ class Structure:
     degree: int  #: of `nets`; lower degrees are padded with zero monomials
     components: int  #: of `nets`: 4, or 3 where all weights are one
     polynomial_degree: int
-    affine_count: int
     graph_count: int  #: affine and projective
     group_count: int
     #: whether what the sides of a member are at a hit tells its parameters, mostly
@@ -213,7 +212,6 @@ def build_structure(
         degree=degree,
         components=components,
         polynomial_degree=polynomial_degree(grouped),
-        affine_count=len(affine),
         graph_count=len(graphs),
         group_count=len(group_first),
         by_sides=shared is not None or (single and trims is None and linear),

@@ -210,11 +210,10 @@ def _with_files(
         )
         files[name] = target.read_bytes()
     filename = {"filename": name.name}
-    for maps in ("instances", "copies"):
-        if maps in out:
-            rows = np.asarray(out.pop(maps), dtype=np.float64)[:, :3].reshape(-1, 12)
-            text = "\n".join(" ".join(repr(x) for x in row) for row in rows.tolist())
-            where = path.with_name(f"{path.stem}-{key}.txt")
-            files[where] = (text + "\n").encode()
-            filename[f"{maps}_filename"] = where.name
+    if "instances" in out:
+        rows = np.asarray(out.pop("instances"), dtype=np.float64)[:, :3].reshape(-1, 12)
+        text = "\n".join(" ".join(repr(x) for x in row) for row in rows.tolist())
+        where = path.with_name(f"{path.stem}-{key}.txt")
+        files[where] = (text + "\n").encode()
+        filename["instances_filename"] = where.name
     return {"type": out.pop("type"), **filename, **out}

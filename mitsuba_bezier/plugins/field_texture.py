@@ -22,7 +22,12 @@ from .field_parameters import (
     read_projection,
     read_width,
 )
-from .shape.attributes import check_texcoords, to_parameters
+from .shape.attributes import (
+    check_texcoords,
+    parameters_of,
+    spectrum_coefficients,
+    to_parameters,
+)
 
 __all__ = ["make_field_class"]
 
@@ -148,9 +153,7 @@ def make_field_class() -> type:
             else:
                 colors = np.array(color_table(self.colormap))
             if mi.is_spectral:
-                linear = linear_rgb(colors).clip(0, 1)
-                fetched = [np.array(mi.srgb_model_fetch(c.tolist())) for c in linear]
-                self.spectra = mi.Float(np.array(fetched).ravel())
+                self.spectra = mi.Float(spectrum_coefficients(linear_rgb(colors)).ravel())
             if self.levels:
                 colors = linear_rgb(colors)
             self.count = len(colors)
@@ -158,19 +161,10 @@ def make_field_class() -> type:
 
         # ------------------------------------------------------------ values
 
-        def _parameters(self, si: Any, active: Any) -> tuple[Any, Any]:
-            if self.back is None:
-                return si.uv.x, si.uv.y
-            x, y, a, b, c, d = (
-                dr.gather(mi.Float, self.back, 6 * si.prim_index + k, active) for k in range(6)
-            )
-            x, y = si.uv.x - x, si.uv.y - y
-            return dr.fma(a, x, b * y), dr.fma(c, x, d * y)
-
         def value(self, si: Any, active: Any = True) -> tuple[Any, Any, Any]:
             """Return the value at a hit and its partials by the parameters, in float64."""
             active = mi.Bool(active)
-            u, v = (mi.Float64(x) for x in self._parameters(si, active))
+            u, v = (mi.Float64(x) for x in parameters_of(self.back, si, active))
             n, width = self.field.degree, self.channels + (self.field.weights is not None)
             first = si.prim_index * self.row
 
@@ -228,7 +222,7 @@ def make_field_class() -> type:
                 slope = per_pixel(fu, fv)
                 isoline = seen & (slope > 0) & (off < 0.5 * self.width * slope)
             if self.edges is not None:
-                u, v = (mi.Float64(x) for x in self._parameters(si, active))
+                u, v = (mi.Float64(x) for x in parameters_of(self.back, si, active))
                 sides = dr.gather(mi.UInt32, self.edges, si.prim_index, active)
                 for bit, (at, du, dv) in enumerate(
                     ((u, 1.0, 0.0), (v, 0.0, 1.0), (1.0 - u - v, -1.0, -1.0))

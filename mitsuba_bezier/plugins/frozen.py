@@ -16,7 +16,7 @@ import drjit as dr
 __all__ = ["contents", "is_bezier"]
 
 #: Attributes that do not become code.
-_DATA = ("bytes", "leaf_count", "affine_count", "graph_count", "group_count", "count", "_name")
+_DATA = ("bytes", "leaf_count", "graph_count", "group_count", "count", "_name")
 
 
 def is_bezier(shape: Any) -> bool:

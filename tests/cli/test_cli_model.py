@@ -7,19 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_cases import render
 from format_cases import FILES, written
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.cli import main
 
 SMALL = ("--size", "48x36", "--spp", "16")
-
-
-def render(*words: str | Path) -> int:
-    try:
-        return main.main(["render", *map(str, words)])
-    except SystemExit as end:
-        return int(end.code or 0)
 
 
 def picture(path: Path | str) -> np.ndarray:

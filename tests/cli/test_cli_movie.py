@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_cases import render
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.cli import main
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.models.camera import read_up, read_view, view_frame
 from mitsuba_bezier.models.frames import animated, read_animation, turntable
 from mitsuba_bezier.models.scene import Look, models_of
 
 SMALL = ("--size", "40x30", "--spp", "4", "-q")
-
-
-def render(*words: str | Path) -> int:
-    try:
-        return main.main(["render", *map(str, words)])
-    except SystemExit as end:
-        return int(end.code or 0)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from cli_cases import BEZIER, INTEGRATOR, scene
+from cli_cases import BEZIER, INTEGRATOR, render, scene
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import _runtime
@@ -29,13 +29,6 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "ball.xml").write_text(scene())
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def render(*words: str | Path) -> int:
-    try:
-        return main.main(["render", *map(str, words)])
-    except SystemExit as end:
-        return int(end.code or 0)
 
 
 def pixels(path: Path | str) -> dict[str, np.ndarray]:

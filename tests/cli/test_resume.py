@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_cases import scene
+from cli_cases import render, scene
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.cli import main
@@ -28,13 +28,6 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "ball.xml").write_text(scene())
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def render(*words: str | Path) -> int:
-    try:
-        return main.main(["render", *map(str, words)])
-    except SystemExit as end:
-        return int(end.code or 0)
 
 
 def interrupt(monkeypatch, after: int, *words: str, error: BaseException | None = None) -> int:

@@ -5,37 +5,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import pytest
+from optics_cases import lens_of, recorded
 
-from mitsuba_bezier.optics import AIR, Constant, Lens, Surface, beam, first_order, trace
+from mitsuba_bezier.optics import beam, first_order, trace
 
-REPORT = json.loads(Path(__file__).with_name("optiland.json").read_text())["lenses"]
-
-
-def lens_of(record: dict) -> Lens:
-    """Return the recorded lens."""
-    rows = record["surfaces"]
-    surfaces = [
-        Surface(
-            curvature=row["curvature"],
-            thickness=rows[i + 1]["z"] - row["z"],
-            medium=AIR if row["mirror"] else Constant(row["n"]),
-            conic=row["conic"],
-            mirror=row["mirror"],
-            stop=row["stop"],
-        )
-        for i, row in enumerate(rows[1:-1], start=1)
-    ]
-    kind, value = record["aperture"]
-    return Lens(
-        surfaces,
-        aperture=({"EPD": "diameter", "imageFNO": "f_number"}[kind], value),
-        wavelengths=[record["wavelength"]],
-        fields=[(0, record["field"])],
-    )
+REPORT = recorded()
 
 
 def test_there_are_lenses_enough():

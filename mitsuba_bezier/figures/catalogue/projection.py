@@ -164,6 +164,15 @@ def desargues_theorem(style: str = "screen", stretch: float = 0.55) -> Drawing:
     return d
 
 
+def _title_of_ratios(d: Drawing, ratios: list[str], product: float) -> None:
+    """Say in the title what the ratios on the sides of a triangle are, and their product."""
+    d.title(
+        r"$\frac{|ap|}{|pb|}\cdot\frac{|bq|}{|qc|}\cdot\frac{|cr|}{|ra|} = "
+        + r" \cdot ".join(ratios)
+        + f" = {product:.3f}$"
+    )
+
+
 def menelaus_theorem(style: str = "screen", slope: float = 0.32) -> Drawing:
     """Menelaus: three points of the sides are on a line if the ratios' product is -1."""
     from .. import plane
@@ -182,11 +191,7 @@ def menelaus_theorem(style: str = "screen", slope: float = 0.32) -> Drawing:
         d.point(x, name, way)
     for x, name, way in zip(p, ("$p$", "$q$", "$r$"), ((0, -10), (6, 10), (-6, 10))):
         d.point(x, name, way, kind="second point")
-    d.title(
-        r"$\frac{|ap|}{|pb|}\cdot\frac{|bq|}{|qc|}\cdot\frac{|cr|}{|ra|} = "
-        + r" \cdot ".join(f"({x:.3f})" for x in found.ratios)
-        + f" = {found.product:.3f}$"
-    )
+    _title_of_ratios(d, [f"({x:.3f})" for x in found.ratios], found.product)
     return d
 
 
@@ -208,11 +213,7 @@ def ceva_theorem(style: str = "screen", u: float = 0.3, v: float = 0.32) -> Draw
     for x, name, way in zip(q, ("$p$", "$q$", "$r$"), ((0, -10), (9, 7), (-9, 7))):
         d.point(x, name, way, kind="second point")
     d.point(inner, "$s$", (10, 4))
-    d.title(
-        r"$\frac{|ap|}{|pb|}\cdot\frac{|bq|}{|qc|}\cdot\frac{|cr|}{|ra|} = "
-        + r" \cdot ".join(f"{x:.3f}" for x in found.ratios)
-        + f" = {found.product:.3f}$"
-    )
+    _title_of_ratios(d, [f"{x:.3f}" for x in found.ratios], found.product)
     return d
 
 

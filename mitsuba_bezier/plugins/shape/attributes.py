@@ -17,7 +17,15 @@ from ...geometry import bernstein
 from ...geometry.linear import SINGULAR, hadamard_ratio
 from ...kernels.patch import bernstein_basis
 
-__all__ = ["check_attribute", "check_texcoords", "is_attribute", "make_attribute_class"]
+__all__ = [
+    "check_attribute",
+    "check_texcoords",
+    "is_attribute",
+    "make_attribute_class",
+    "parameters_of",
+    "spectrum_coefficients",
+    "to_parameters",
+]
 
 
 def is_attribute(name: str) -> bool:
@@ -115,6 +123,23 @@ def to_parameters(texcoords: np.ndarray, name: str) -> np.ndarray:
     return np.concatenate([c, np.linalg.inv(matrix).reshape(-1, 4)], axis=1)
 
 
+def parameters_of(back: Any, si: Any, active: Any) -> tuple[Any, Any]:
+    """Return the parameters of a hit from its texture coordinates, by the maps of `to_parameters`.
+
+    With `back` None the texture coordinates are the parameters.
+    """
+    if back is None:
+        return si.uv.x, si.uv.y
+    x, y, a, b, c, d = (dr.gather(mi.Float, back, 6 * si.prim_index + k, active) for k in range(6))
+    x, y = si.uv.x - x, si.uv.y - y
+    return dr.fma(a, x, b * y), dr.fma(c, x, d * y)
+
+
+def spectrum_coefficients(colours: np.ndarray) -> np.ndarray:
+    """Return the coefficients ``(N, 3)`` of smooth spectra of linear colours ``(N, 3)``."""
+    return np.array([np.array(mi.srgb_model_fetch(c.tolist())) for c in colours.clip(0, 1)])
+
+
 def make_attribute_class() -> type:
     """Return the class for the variant that is set now."""
 
@@ -139,10 +164,7 @@ def make_attribute_class() -> type:
             self._coefficients = None
             if mi.is_spectral and self.channels == 3:
                 # as Mitsuba's meshes: colours become the coefficients of smooth spectra
-                colours = flat.reshape(-1, 3).clip(0, 1)
-                self._coefficients = mi.Float(
-                    np.array([np.array(mi.srgb_model_fetch(c.tolist())) for c in colours]).ravel()
-                )
+                self._coefficients = mi.Float(spectrum_coefficients(flat.reshape(-1, 3)).ravel())
 
         def place_by(self, texcoords: np.ndarray | None) -> None:
             """Take over the texture coordinates ``(P, 3, 2)`` of the shape, None for parameters."""
@@ -151,19 +173,10 @@ def make_attribute_class() -> type:
             else:
                 self.back = mi.Float(to_parameters(texcoords, self.name).ravel())
 
-        def _parameters(self, si: Any, active: Any) -> tuple[Any, Any]:
-            if self.back is None:
-                return si.uv.x, si.uv.y
-            x, y, a, b, c, d = (
-                dr.gather(mi.Float, self.back, 6 * si.prim_index + k, active) for k in range(6)
-            )
-            x, y = si.uv.x - x, si.uv.y - y
-            return dr.fma(a, x, b * y), dr.fma(c, x, d * y)
-
         def _channels(self, buffer: Any, si: Any, active: Any) -> list[Any]:
             basis = [1.0]
             if self.degree:
-                u, v = self._parameters(si, active)
+                u, v = parameters_of(self.back, si, active)
                 basis = bernstein_basis(self.degree, u, v, 1.0 - u - v)
             first = si.prim_index * (self.count * self.channels)
             return [
