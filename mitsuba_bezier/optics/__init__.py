@@ -6,6 +6,7 @@ This layer stands above geometry; it needs no Mitsuba. Glass by name needs the e
 from __future__ import annotations
 
 from .beams import Spot, beam, distortion, pupil_grid, spot, used_semi_diameters
+from .derivatives import SpotDerivatives, spot_derivatives
 from .drawing import draw_section, draw_spots, save_figure
 from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
 from .lens import Lens, Surface
@@ -25,6 +26,7 @@ __all__ = [
     "Lens",
     "Medium",
     "Spot",
+    "SpotDerivatives",
     "Surface",
     "Trace",
     "beam",
@@ -40,6 +42,7 @@ __all__ = [
     "report",
     "save_figure",
     "spot",
+    "spot_derivatives",
     "stopped_down",
     "surface_patches",
     "trace",

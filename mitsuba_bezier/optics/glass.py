@@ -120,15 +120,61 @@ class Abbe:
         """Return indices at wavelengths in micrometres."""
         if not np.isfinite(self.vd) or self.nd == 1:
             return np.full(np.shape(wavelength), self.nd)
-        line_g = 0.4358343
-        step = (self.nd - 1) / self.vd
-        partial = 0.6438 - 0.001682 * self.vd
-        lines = np.array([LINE_D, LINE_F, LINE_C, line_g])
-        rows = np.stack([lines**-1.0, lines**-3.5], axis=1)
-        system = [rows[1] - rows[2], rows[3] - rows[1]]
-        b, c = np.linalg.solve(system, [step, partial * step])
-        w = np.asarray(wavelength, float)
-        return self.nd + b * (1 / w - 1 / LINE_D) + c * (w**-3.5 - LINE_D**-3.5)
+        by_dispersion, fixed = abbe_terms(wavelength)
+        return self.nd + (self.nd - 1) * (by_dispersion / self.vd + fixed)
+
+
+def abbe_terms(wavelength: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """Return p and q of ``n = n_d + (n_d - 1) (p / V_d + q)``, Conrady's formula on normal glass.
+
+    Parameters
+    ----------
+    wavelength : float or ndarray
+        In micrometres.
+    """
+    line_g = 0.4358343
+    lines = np.array([LINE_D, LINE_F, LINE_C, line_g])
+    rows = np.stack([lines**-1.0, lines**-3.5], axis=1)
+    system = np.array([rows[1] - rows[2], rows[3] - rows[1]])
+    # columns: what stands with 1 / V_d, and what does not
+    b, c = np.linalg.solve(system, [[1.0, 0.0], [0.6438, -0.001682]])
+    w = np.asarray(wavelength, float)
+    x, y = 1 / w - 1 / LINE_D, w**-3.5 - LINE_D**-3.5
+    return b[0] * x + c[0] * y, b[1] * x + c[1] * y
+
+
+def abbe_numbers(medium: Medium) -> tuple[float, float]:
+    """Return n_d and V_d of a medium; V_d is infinite without dispersion, or where d is unknown.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics.glass import Constant, abbe_numbers
+    >>> abbe_numbers(Constant(1.5))
+    (1.5, inf)
+    """
+    if isinstance(medium, Abbe):
+        return medium.nd, medium.vd
+    try:
+        d, f, c = (float(medium.index(w)) for w in (LINE_D, LINE_F, LINE_C))
+    except PrescriptionError:  # a glass for the infrared
+        return float("nan"), float("inf")
+    return d, (d - 1) / (f - c) if f != c else float("inf")
+
+
+def index_derivatives(medium: Medium, wavelength: float) -> tuple[float, float]:
+    """Return the derivatives of the index by n_d and V_d, as glass on the normal line has them."""
+    nd, vd = abbe_numbers(medium)
+    if not np.isfinite(vd):
+        return 1.0, 0.0
+    p, q = abbe_terms(wavelength)
+    return float(1 + p / vd + q), float(-(nd - 1) * p / vd**2)
+
+
+def absorption(medium: Medium, wavelength: np.ndarray | float) -> np.ndarray:
+    """Return absorption coefficients per millimetre; 0 for media that no catalogue has measured."""
+    if isinstance(medium, Catalogue):
+        return medium.absorption(wavelength)
+    return np.zeros(np.shape(wavelength))
 
 
 class Catalogue:
@@ -181,6 +227,22 @@ class Catalogue:
             )
         n = self._material.get_refractive_index(np.clip(w, low, high), unit="um")
         return np.asarray(n, float).reshape(w.shape)
+
+    def absorption(self, wavelength: np.ndarray | float) -> np.ndarray:
+        """Return absorption coefficients per millimetre, 0 if the catalogue has none.
+
+        Makers print the internal transmittance of plates of 5, 10 and 25 mm, which the database has
+        as an extinction coefficient k: the coefficient is ``4 pi k / wavelength``. Beyond the range
+        of the table its ends are taken.
+        """
+        w = np.asarray(wavelength, float)
+        try:
+            low, high = self._material.get_wl_range(unit="um", quantity="k")
+            k = self._material.get_extinction_coefficient(np.clip(w, low, high), unit="um")
+        except Exception:  # the wheel raises several kinds for glasses without a table
+            return np.zeros_like(w)
+        k = np.nan_to_num(np.asarray(k, float).reshape(w.shape))
+        return 4 * np.pi * k / (1e-3 * w)
 
 
 @functools.cache
