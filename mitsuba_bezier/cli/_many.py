@@ -62,6 +62,7 @@ def connected(args: argparse.Namespace) -> Iterator[Any]:
         "distributed.scheduler.worker-ttl": SILENCE,
         "distributed.scheduler.allowed-failures": 3,
         "distributed.comm.timeouts.connect": f"{ANSWER}s",
+        "distributed.worker.profile.enabled": False,  # it looks at all threads, again and again
         "logging.distributed": "critical",
     }
     with dask.config.set(settings):

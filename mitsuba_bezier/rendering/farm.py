@@ -86,8 +86,8 @@ class Farm:
         self._arrived: queue.Queue[tuple[Any, Any]] = queue.Queue()
         self._doubts: Counter[str] = Counter()
         self._silent: set[str] = set()
-        self._seconds = 0.0
-        self._measured = 0
+        self._seconds = self._cost = 0.0
+        self._measured = self._parts = 0
         self._looked = 0.0
         #: Passes that each worker has rendered.
         self.shares: Counter[str] = Counter()
@@ -96,6 +96,11 @@ class Farm:
     def seconds_a_pass(self) -> float | None:
         """Mean time that a worker takes for a pass, once one is measured."""
         return self._seconds / self._measured if self._measured else None
+
+    @property
+    def seconds_a_part(self) -> float | None:
+        """Mean time that a worker takes for a part besides its passes, once one is measured."""
+        return self._cost / self._parts if self._parts else None
 
     def run(
         self, indices: Iterable[int], stop: Callable[[int], bool], progress: Callable[[], None]
@@ -122,7 +127,9 @@ class Farm:
             while self._out or (at < len(waiting) and not ended):
                 workers = self._trusted()
                 while at < len(waiting) and not ended and self._open() < AHEAD * len(workers):
-                    count = part_size(self.seconds_a_pass, len(waiting) - at, len(workers))
+                    count = part_size(
+                        self.seconds_a_pass, len(waiting) - at, len(workers), self.seconds_a_part
+                    )
                     chosen = self._whole(waiting[at : at + count])
                     self._send(_Part(tuple(chosen)), workers)
                     at += len(chosen)
@@ -235,6 +242,8 @@ class Farm:
         self.shares[source] += len(part.indices)
         self._seconds += rendered.seconds
         self._measured += len(part.indices)
+        self._cost += rendered.cost
+        self._parts += 1
         for other in [f for f, p in self._out.items() if p.indices == part.indices]:
             del self._out[other]
             other.cancel()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,8 @@ __all__ = ["Rendered", "check", "part_size", "render_part"]
 
 #: Seconds that a part is to take, and parts that each worker is to get of what is left.
 SECONDS, SHARES = 10.0, 4
+#: Of the time of a part, the most that making its sums may take, where there are passes enough.
+COST = 0.1
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,9 @@ class Rendered:
     checksum : int
         Of the sums.
     seconds : float
-        That it took.
+        That the passes took.
+    cost : float
+        Seconds that making the sums took, whatever the number of passes.
     """
 
     identity: dict[str, Any]
@@ -51,6 +56,7 @@ class Rendered:
     seeds: tuple[int, ...]
     checksum: int
     seconds: float
+    cost: float = 0.0
 
 
 def render_part(
@@ -68,7 +74,9 @@ def render_part(
     for index in indices:
         one: Pass = render(plan[index], pass_seed(seed, index))
         picture.add(index, one)
+    rendered = time.perf_counter()
     sums = picture.total.sums()
+    total = checksum(sums)
     return Rendered(
         dict(identity),
         machine(),
@@ -76,8 +84,9 @@ def render_part(
         sums,
         picture.total.spp,
         tuple(picture.total.seeds),
-        checksum(sums),
-        time.perf_counter() - started,
+        total,
+        rendered - started,
+        time.perf_counter() - rendered,
     )
 
 
@@ -109,7 +118,9 @@ def check(
         raise BezierError.expected("part", "samples", rendered.spp)
 
 
-def part_size(seconds_a_pass: float | None, left: int, workers: int) -> int:
+def part_size(
+    seconds_a_pass: float | None, left: int, workers: int, cost: float | None = None
+) -> int:
     """Return how many passes the next part has.
 
     Parameters
@@ -120,8 +131,14 @@ def part_size(seconds_a_pass: float | None, left: int, workers: int) -> int:
         Passes that no part has yet.
     workers : int
         How many there are.
+    cost : float, optional
+        Seconds that a part takes besides its passes.
     """
     if not seconds_a_pass:
         return 1
+    workers = max(1, workers)
     # few enough that no worker is the last for long
-    return max(1, min(int(SECONDS / seconds_a_pass), left // (SHARES * max(1, workers))))
+    count = min(int(SECONDS / seconds_a_pass), left // (SHARES * workers))
+    # and so many that they are worth a message, if there is one for everybody
+    worth = math.ceil((cost or 0.0) / (COST * seconds_a_pass))
+    return max(1, count, min(worth, left // workers))

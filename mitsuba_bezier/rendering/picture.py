@@ -13,6 +13,7 @@ import os
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -251,6 +252,11 @@ def load_sums(
 
 def machine() -> dict[str, str]:
     """Return what decides the last bits of a pass, but for the variant."""
+    return dict(_machine())
+
+
+@cache  # some milliseconds, and every part tells it
+def _machine() -> dict[str, str]:
     from importlib import metadata
 
     from .._version import __version__

@@ -126,6 +126,30 @@ def test_workers_of_other_versions_are_named(folder, monkeypatch, capsys):
         assert "room for the scene's files" in found and "No space left" in found
 
 
+FAULTS = """
+import resource
+import numpy as np
+from mitsuba_bezier.cli import _worker
+from mitsuba_bezier.rendering.bundle import Bundle, _digest
+
+_worker.receive(Bundle({}, (), (), _digest({}, (), ())), %r)
+for count in range(20):
+    if count == 2:  # by then the memory is there
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    np.ones(1 << 17)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of glibc's memory")
+def test_a_worker_keeps_the_memory_of_its_pictures(tmp_path):
+    # as dask starts its workers: each array of 1 MB would be 256 pages taken anew
+    environment = {**os.environ, "MALLOC_TRIM_THRESHOLD_": "65536"}
+    words = [sys.executable, "-c", FAULTS % str(tmp_path)]
+    done = subprocess.run(words, env=environment, check=True, capture_output=True, text=True)
+    assert int(done.stdout) < 256
+
+
 # ---------------------------------------------------------------- scripts
 
 

@@ -79,6 +79,9 @@ def test_the_size_of_parts():
     assert part_size(0.5, 32, 4) == 2  # towards the end they get smaller
     assert part_size(100.0, 1000, 4) == 1
     assert part_size(1e-6, 3, 4) == 1
+    # sums that take as long as two passes are made of twenty, while there are passes for everybody
+    assert part_size(0.5, 32, 4, 1.0) == 8 and part_size(0.5, 100, 4, 1.0) == 20
+    assert part_size(0.5, 1000, 4, 0.01) == 20 and part_size(0.5, 3, 4, 1.0) == 1
 
 
 # ---------------------------------------------------------------- with dask
