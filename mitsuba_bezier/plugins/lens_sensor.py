@@ -64,7 +64,8 @@ def make_lens_class() -> type:
            - As for :monosp:`perspective`; the origin is in the middle of the entrance pupil.
              (|exposed|)
          * - (Nested plugin)
-           - film, sampler
+           - |film|, |sampler|
+           - As for Mitsuba's own sensors.
 
         Rays start on the film, go through the bounded part of the rear element from which light
         arrives, and are refracted in order. Vignetting, distortion and the fall of brightness

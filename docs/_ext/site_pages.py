@@ -1,0 +1,42 @@
+"""A small extension of Sphinx: what the pages of the repository need to be pages of the site."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from typing import Any
+
+#: Pages that have another place on the site; links to them lead there.
+MOVED = {
+    "docs/lecture.md": "generated/lecture.md",  # cut into pages
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
+
+
+def lead(docname: str, text: str) -> str:
+    """Lead the links of a page to where the site has what they mean."""
+    depth = "../" * docname.count("/")
+    folder = posixpath.dirname("docs/" + docname)
+
+    def link(found: re.Match[str]) -> str:
+        target, place = found[1], found[2]
+        path = posixpath.normpath(posixpath.join(folder, target))
+        if path in MOVED:
+            return f"]({depth}{MOVED[path]}{place})"
+        if not path.startswith("docs/"):  # a page beside the code, as a file
+            return f"](path:{target})"
+        return found[0]
+
+    return re.sub(r"\]\(([^)#\s:]+\.md)((?:#[^)]*)?)\)", link, text)
+
+
+def _links(_app: Any, docname: str, source: list[str]) -> None:
+    source[0] = lead(docname, source[0])
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Register with Sphinx."""
+    app.connect("source-read", _links)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,60 @@
+"""Settings of the site; ``python docs/build.py`` builds it, see there."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE / "_ext")]
+
+import generate  # noqa: E402
+
+from mitsuba_bezier import __version__  # noqa: E402
+
+project = "mitsuba_bezier"
+author = "The mitsuba_bezier authors"
+copyright = author
+release = version = __version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",  # NumPy docstrings
+    "sphinx_design",  # the doors of the landing page
+    "sphinx_copybutton",
+    "site_pages",  # ours: docs/_ext
+]
+# the lecture is cut into pages: docs/_ext/generate.py
+exclude_patterns = ["_build", "_ext", "notebooks", "figures", "lecture.md"]
+root_doc = "index"
+
+html_theme = "furo"
+html_title = "mitsuba_bezier"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False  # the pages are in the repository
+html_theme_options = {"navigation_with_keys": True}
+templates_path: list[str] = []
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 4  # links to sections, as on the pages of a repository
+# figures of tables, such as C1, are no list of names
+myst_links_external_new_tab = False
+
+# Docstrings write names in single backticks, as plain code.
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # types stand in the docstrings, in words
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+napoleon_preprocess_types = False
+
+nitpicky = True
+# Types in docstrings are words, such as "array of shape (P, 3)", and names of other packages, whose
+# pages are not asked for: the build uses no network.
+nitpick_ignore_regex = [("py:.*", ".*")]
+
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+generate.all_pages(HERE / "generated")
