@@ -14,7 +14,7 @@ from .._files import temporary_folder
 from ..errors import BezierError, RuntimeSetupError
 from ..rendering.bundle import make_bundle
 from ..rendering.picture import machine
-from . import _worker
+from . import _model, _worker
 
 __all__ = ["check_dask", "connected", "job_of", "prepare"]
 
@@ -109,13 +109,16 @@ def _awaited(client: Any, count: int) -> Any:
 def job_of(shot: Any) -> tuple[_worker.Job, Any]:
     """Return what workers are told, and the files that they are sent, for a `_passes.Shot`."""
     args = shot.args
-    bundle = make_bundle(shot.loaded.files, [args.scene, *args.more], args.append)
+    named = [args.scene, *args.more, *_model.surroundings(args)]
+    bundle = make_bundle(shot.loaded.files, named, args.append)
     threads = args.threads
     if threads is None and args.workers:
         threads = max(1, (os.cpu_count() or 1) // args.workers)
     plain = argparse.Namespace(**{**vars(args), "argv": []})
     return (
-        _worker.Job(bundle.digest, plain, shot.variant, shot.plan, shot.identity, threads),
+        _worker.Job(
+            bundle.digest, plain, shot.variant, shot.plan, shot.identity, threads, shot.frame
+        ),
         bundle,
     )
 

@@ -28,6 +28,7 @@ __all__ = [
     "loaded",
     "prepared",
     "refuse_for_scenes",
+    "surroundings",
     "writes_only",
 ]
 
@@ -198,6 +199,16 @@ def _models(args: argparse.Namespace) -> tuple[list[Any], list[str]]:
     return models, notes
 
 
+def surroundings(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the picture that ``--light`` names, if it names one."""
+    from ..models import lights
+
+    light = args.light if is_model(args.scene) else None
+    if light is None or light in lights.LIGHTS or not os.path.isfile(light):
+        return ()
+    return (light,)
+
+
 def writes_only(args: argparse.Namespace) -> bool:
     """Return whether a scene is to be written, and nothing rendered."""
     return args.scene_out is not None and args.output is None
@@ -228,7 +239,7 @@ def prepared(args: argparse.Namespace) -> Prepared:
             models, appearance = extra.models, extra.appearance or appearance
             notes += extra.notes
             finishers += [extra.finish] if extra.finish else []
-    files = tuple(Path(path) for path in (args.scene, *args.more))
+    files = tuple(Path(path) for path in (args.scene, *args.more, *surroundings(args)))
     return Prepared(look, models, appearance, finishers, notes, files)
 
 
@@ -238,9 +249,12 @@ def digest_of(
     """Return the fingerprint of a picture of models: of their files and the options."""
     from ..verification.fingerprint import files_fingerprint
 
-    shown = {
-        name: getattr(args, name, None) for name in sorted(_own - {"scene_out", "fps", "open"})
-    }
+    if not _own:  # a worker has read no command line
+        add_options(argparse.ArgumentParser())
+    hidden = {"scene_out", "fps", "open"}
+    if surroundings(args):  # whose contents count, as those of all files do
+        hidden.add("light")
+    shown = {name: getattr(args, name, None) for name in sorted(_own - hidden)}
     given = {name: repr(value) for name, value in shown.items() if value not in (None, [])}
     return files_fingerprint(found.files, {**given, **(more or {})})
 

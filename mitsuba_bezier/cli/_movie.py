@@ -1,10 +1,14 @@
-"""Render films of models: frames in a folder of their own, where a later call goes on."""
+"""Render films of models: frames in a folder of their own, where a later call goes on.
+
+Workers, where there are any, are those of all frames: each makes the frame that it is asked for by
+itself, from the models, and renders parts of it.
+"""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +16,15 @@ import numpy as np
 
 from .._files import check_target, is_utf8, temporary_folder, write_file
 from ..errors import BezierError, FileFormatError
-from . import _model, _passes
+from . import _many, _passes
+from ._movie_frames import FRAMES, Film
 
 __all__ = ["add_options", "prepare", "render", "wanted"]
 
 #: Suffixes of films.
 SUFFIXES = (".gif", ".mp4", ".webp")
-#: Frames of a weight that runs, by default, and at most of a film.
-FRAMES, MAX_FRAMES = 48, 100_000
+#: Frames of a film, at most.
+MAX_FRAMES = 100_000
 
 
 def _count(text: str) -> int:
@@ -96,22 +101,8 @@ def library(suffix: str) -> Any:
     return imageio
 
 
-def _frames(args: argparse.Namespace, prepared: _model.Prepared) -> list[Any]:
-    from ..models import frames
-
-    models, look = prepared.models, prepared.look
-    if args.turntable is not None:
-        return frames.turntable(models, look, args.turntable)
-    if args.animate is not None:
-        wish = frames.read_animation(args.animate)
-        return frames.animated(models, look, wish, args.frames or FRAMES)
-    return frames.steps(models, look)
-
-
 def render(args: argparse.Namespace, variant: str, say: Callable[[str], None]) -> int:
     """Render the frames that are not there yet, and write the film; return 0."""
-    from ..models.scene import describe
-
     out = Path(args.output or Path(args.scene).with_suffix(".gif"))
     if out.suffix.lower() not in SUFFIXES or not is_utf8(str(out)):
         raise FileFormatError.expected(
@@ -119,31 +110,32 @@ def render(args: argparse.Namespace, variant: str, say: Callable[[str], None]) -
         )
     check_target(out, "--output")
     imageio = library(out.suffix.lower())
-    prepared = _model.prepared(args)
-    made = _frames(args, prepared)
-    for note in prepared.notes:
+    film = Film(args)
+    for note in film.notes:
         say(f"mitsuba-bezier: {note}")
     folder = out.with_name(f"{out.stem}.frames")
     folder.mkdir(exist_ok=True)
-    pictures, kept = [], 0
-    for number, frame in enumerate(made):
-        target = folder / f"{number:05d}.exr"
-        pictures.append(target.with_suffix(".png"))
-        digest = _model.digest_of(args, prepared, {"frame": f"{number} of {len(made)}"})
-        if not getattr(args, "fresh", False) and _is_there(target, digest, args):
-            kept += 1
-            continue
-        node = describe(frame.models, frame.look, prepared.appearance, None, frame.framing)
-        loaded = _model.loaded(args, prepared, node, digest)
-        sensor = loaded.scene.sensors()[0]
-        shot = _passes.Shot(args, loaded, sensor, variant, target)
-        _passes.render(shot, lambda _line: None)
-        with suppress(OSError):
-            shot.sums.unlink()
-        say(f"mitsuba-bezier: frame {number + 1} of {len(made)}")
+    targets = [folder / f"{number:05d}.exr" for number in range(len(film))]
+    pictures = [target.with_suffix(".png") for target in targets]
+    wanting = [
+        number
+        for number, target in enumerate(targets)
+        if args.fresh or not _is_there(target, film.digest(number), args)
+    ]
+    many = wanting and (args.workers or args.scheduler)
+    with _many.connected(args) if many else nullcontext() as client:
+        for number in wanting:
+            loaded = film.load(number)
+            sensor = loaded.scene.sensors()[0]
+            shot = _passes.Shot(args, loaded, sensor, variant, targets[number], number)
+            _passes.render(shot, lambda line: say(line) if ": note: " in line else None, client)
+            with suppress(OSError):
+                shot.sums.unlink()
+            say(f"mitsuba-bezier: frame {number + 1} of {len(film)}")
+    kept = len(film) - len(wanting)
     write_file(out, encode(imageio, out.suffix.lower(), pictures, args.fps or 24.0), "--output")
     reused = f", {kept} of them from before" if kept else ""
-    say(f"mitsuba-bezier: wrote {out}: {len(made)} frames, kept in {folder}{reused}")
+    say(f"mitsuba-bezier: wrote {out}: {len(film)} frames, kept in {folder}{reused}")
     return 0
 
 

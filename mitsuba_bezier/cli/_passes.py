@@ -56,13 +56,21 @@ class Shot:
         Which part of how many, from 0: passes ``part[0]``, ``part[0] + part[1]``, ...
     identity : dict
         Header attributes that tell this render from others, whatever its number of samples.
+    frame : int or None
+        Which frame of a film it is.
     """
 
     def __init__(
-        self, args: argparse.Namespace, loaded: Loaded, sensor: Any, variant: str, output: Path
+        self,
+        args: argparse.Namespace,
+        loaded: Loaded,
+        sensor: Any,
+        variant: str,
+        output: Path,
+        frame: int | None = None,
     ) -> None:
         self.args, self.loaded, self.sensor = args, loaded, sensor
-        self.integrator = loaded.integrator
+        self.integrator, self.frame = loaded.integrator, frame
         self.variant, self.output = variant, output
         self.preview, self.sums = output.with_suffix(".png"), sums_path(output)
         self.denoised = beside(output, ".denoised.exr")

@@ -25,6 +25,7 @@ __all__ = ["Job", "probe", "receive", "work"]
 _lock = threading.Lock()
 _bundles: dict[str, tuple[Bundle, str | None]] = {}
 _loaded: dict[str, Any] = {}
+_films: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class Job:
         Which render it is.
     threads : int or None
         Of Dr.Jit; None for all.
+    frame : int or None
+        Of a film.
     """
 
     digest: str
@@ -53,6 +56,7 @@ class Job:
     plan: Plan
     identity: dict[str, Any]
     threads: int | None
+    frame: int | None = None
 
 
 def probe(variant: str) -> dict[str, str]:
@@ -101,31 +105,47 @@ def _scene_of(job: Job) -> tuple[Any, Any, Any]:
     """Return scene, sensor and integrator, which are loaded once."""
     key = repr((job.digest, sorted(job.identity.items())))
     if key not in _loaded:
-        from . import _inputs
-
         if job.digest not in _bundles:
             raise _of_machine(FileFormatError.expected("bundle", "the scene's files", "none"))
         if job.threads:
             import drjit as dr
 
             dr.set_thread_count(job.threads)
-        bundle, folder = _bundles[job.digest]
-        root = bundle.unpack(folder)  # again, if something has removed it
-        args = argparse.Namespace(**vars(job.args))
-        args.scene, *args.more = (str(root / name) for name in bundle.inputs)
-        args.append = [str(root / name) for name in bundle.folders]
-        loaded = _inputs.load(args, job.variant)
+        loaded = _load(job)
         if loaded.digest != job.identity["scene"]:
             raise FileFormatError.expected(
                 "scene",
                 "names of files that are relative to it, for other machines",
                 "files that they do not find",
             )
-        sensor = loaded.scene.sensors()[args.sensor]
+        sensor = loaded.scene.sensors()[job.args.sensor]
         _loaded.clear()
         _loaded[key] = loaded.scene, sensor, loaded.integrator
     found: tuple[Any, Any, Any] = _loaded[key]
     return found
+
+
+def _load(job: Job) -> Any:
+    """Load what is to be rendered from the files that have come."""
+    from . import _inputs
+    from ._movie_frames import Film
+
+    bundle, folder = _bundles[job.digest]
+    root = bundle.unpack(folder)  # again, if something has removed it
+    args = argparse.Namespace(**vars(job.args))
+    args.scene, *rest = (str(root / name) for name in bundle.inputs)
+    args.more, light = rest[: len(args.more)], rest[len(args.more) :]
+    if light:
+        (args.light,) = light
+    args.append = [str(root / name) for name in bundle.folders]
+    args.scene_out = None  # which whoever gave the command has written
+    if job.frame is None:
+        return _inputs.load(args, job.variant)
+    key = repr((job.digest, sorted(vars(args).items())))
+    if key not in _films:  # its models are read once
+        _films.clear()
+        _films[key] = Film(args)
+    return _films[key].load(job.frame)
 
 
 def _of_machine(error: BezierError) -> BezierError:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
+import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +20,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.cli import main
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.rendering.bundle import Bundle, make_bundle
-from mitsuba_bezier.verification.images import read_image
+from mitsuba_bezier.verification.images import read_image, write_exr
 
 
 @pytest.fixture
@@ -124,6 +128,76 @@ def test_workers_of_other_versions_are_named(folder, monkeypatch, capsys):
         assert run("render", "ball.xml", "--scheduler", address) == 2
         found = capsys.readouterr().err.splitlines()[-1]
         assert "room for the scene's files" in found and "No space left" in found
+
+
+MODELS = ("models/ball.vtu", "models/egg.vtu", "--light", "sky.exr", "--size", "40x30")
+
+
+def surround(value: float) -> None:
+    """Write a picture of surroundings."""
+    half = np.full((8, 16), np.float32(value))
+    half[:, 8:] *= 2
+    write_exr("sky.exr", {c: half for c in "RGB"}, {})
+
+
+@contextmanager
+def elsewhere():
+    """Give two workers that run in another folder."""
+    distributed = pytest.importorskip("distributed")
+    home = os.getcwd()
+    os.mkdir("there")
+    os.chdir("there")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit=0
+    ) as cluster:
+        os.chdir(home)
+        yield cluster
+
+
+def models(folder) -> None:
+    mb.save(mb.ellipsoid((0, 0, 1), (1, 1, 2)), folder / "models/egg.vtu")
+    surround(0.5)
+
+
+def test_models_and_their_surroundings_travel(folder, capsys):
+    models(folder)
+    words = (*MODELS, "--spp", "12", "--spp-per-pass", "4", "-q", "--resume")
+    assert run("render", *words, "-o", "whole.exr") == 0
+    with elsewhere() as cluster:
+        where = ("--scheduler", cluster.scheduler_address, "--scene", "made.xml")
+        assert run("render", *words, *where, "-o", "many.exr") == 0
+    equal("whole.exr", "many.exr")
+    assert os.path.exists("made.xml") and not os.path.exists("there/made.xml")
+    # the contents of the surroundings count, not their name
+    surround(1.0)
+    assert run("render", *words, "-o", "many.exr") == 2
+    assert "many.sums.exr: scene: expected" in capsys.readouterr().err
+
+
+def test_frames_are_rendered_by_workers_of_which_one_is_killed(folder, capsys):
+    pytest.importorskip("imageio")
+    models(folder)
+    words = ("render", *MODELS, "--turntable", "3", "--spp", "12", "--spp-per-pass", "4")
+    assert run(*words, "-q", "-o", "whole.gif") == 0
+    with elsewhere() as cluster:
+        killed = next(iter(cluster.workers.values())).process.pid
+
+        def kill() -> None:
+            while not os.path.exists("many.frames/00001.exr"):
+                time.sleep(0.02)
+            os.kill(killed, signal.SIGKILL)
+
+        thread = threading.Thread(target=kill, daemon=True)
+        thread.start()
+        where = ("--scheduler", cluster.scheduler_address)
+        assert run(*words, *where, "-o", "many.gif", "--save-every", "0") == 0
+        thread.join(10)
+        assert not thread.is_alive() and "frame 3 of 3" in capsys.readouterr().err
+    for number in range(3):
+        equal(f"whole.frames/{number:05d}.exr", f"many.frames/{number:05d}.exr")
+    assert Path("whole.gif").read_bytes() == Path("many.gif").read_bytes()
+    assert run(*words, "--workers", "2", "-o", "many.gif") == 0
+    assert "3 of them from before" in capsys.readouterr().err
 
 
 FAULTS = """
