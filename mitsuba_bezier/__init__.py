@@ -129,6 +129,10 @@ def register() -> None:
     ------
     RuntimeSetupError
         If Mitsuba cannot be imported; the message says what is missing.
+
+    Examples
+    --------
+    >>> mb.register()  # once more does no harm
     """
     _runtime.import_mitsuba()
     from .plugins import register as register_plugins

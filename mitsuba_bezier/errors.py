@@ -17,6 +17,14 @@ class BezierError(ValueError):
     """Base of every error this package raises on purpose.
 
     The command line prints it as one line and exits with code 2.
+
+    Examples
+    --------
+    >>> try:
+    ...     mb.sphere(radius=-1)
+    ... except mb.BezierError as error:
+    ...     print(error)
+    radius: expected a positive length, got -1
     """
 
     @classmethod
@@ -26,23 +34,62 @@ class BezierError(ValueError):
 
 
 class NetError(BezierError):
-    """A control net of the wrong shape or with unusable numbers."""
+    """A control net of the wrong shape or with unusable numbers.
+
+    Examples
+    --------
+    >>> mb.BezierTriangles(np.ones((1, 5, 4)))
+    Traceback (most recent call last):
+    ...
+    mitsuba_bezier.errors.NetError: control_points: expected K = (n+1)(n+2)/2 ..., got K = 5
+    """
 
 
 class GeometryError(BezierError):
-    """A geometric construction that its input does not determine."""
+    """A geometric construction that its input does not determine.
+
+    Examples
+    --------
+    >>> mb.plane(u=(1, 0, 0), v=(2, 0, 0))
+    Traceback (most recent call last):
+    ...
+    mitsuba_bezier.errors.GeometryError: u, v: expected independent directions, got ...
+    """
 
 
 class FileFormatError(BezierError):
-    """A file that is missing, damaged, or of a kind that cannot be used."""
+    """A file that is missing, damaged, or of a kind that cannot be used.
+
+    Examples
+    --------
+    >>> mb.load("no such file.vtu")
+    Traceback (most recent call last):
+    ...
+    mitsuba_bezier.errors.FileFormatError: path: expected a file that can be read, got ...
+    """
 
 
 class VariantError(BezierError):
-    """A Mitsuba variant that cannot run these plugins, or none at all."""
+    """A Mitsuba variant that cannot run these plugins, or none at all.
+
+    Examples
+    --------
+    >>> mi.set_variant("scalar_rgb")
+    >>> scene = mi.load_dict({"type": "scene", "ball": mb.shape(mb.sphere())})
+    Traceback (most recent call last):
+    ...
+    RuntimeError: At dictionary node "ball": VariantError: variant: expected one of llvm_ad_rgb, ...
+    """
 
 
 class RuntimeSetupError(BezierError):
-    """Something the machine lacks (LLVM, libatomic); the message says how to install it."""
+    """Something the machine lacks (LLVM, libatomic); the message says how to install it.
+
+    Examples
+    --------
+    >>> issubclass(mb.RuntimeSetupError, mb.BezierError)
+    True
+    """
 
 
 class PrescriptionError(BezierError):

@@ -275,8 +275,8 @@ def api() -> str:
     parts = [
         "# Names in Python",
         "All names of `import mitsuba_bezier as mb`. The examples run in the tests, each by "
-        "itself, after these two lines:",
-        "```text\nimport numpy as np\nimport mitsuba_bezier as mb\n```",
+        "itself, after these lines:",
+        "```python\nimport mitsuba as mi\nimport mitsuba_bezier as mb\nimport numpy as np\n```",
     ]
     for title, names in GROUPS.items():
         parts.append(f"## {title}")

@@ -40,6 +40,12 @@ class BasicCurve:
     ------
     GeometryError
         If they are not of this form, or in one plane: no box.
+
+    Examples
+    --------
+    >>> curve = mb.BasicCurve()
+    >>> curve.points(0.5).round(6).tolist()
+    [0.92388, 0.617317, 0.213285]
     """
 
     def __init__(

@@ -134,6 +134,13 @@ class Camera:
         view: positive in front of the camera.
     image_matrix : (3, 4) array
         The same without depth: world to ``(w x, w y, w)``.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.geometry.camera import look_at
+    >>> camera = mb.Camera(look_at([0, 0, 0], [0, 0, 1]), fov=90, film_size=(200, 100))
+    >>> camera.pixels([0, 0.25, 1]).round(9).tolist()
+    [100.0, 25.0]
     """
 
     matrix: np.ndarray
@@ -244,6 +251,13 @@ class Camera:
         ------
         GeometryError
             If a point is the eye itself, or no point.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.geometry.camera import look_at
+        >>> camera = mb.Camera(look_at([0, 0, 0], [0, 0, 1]), fov=90, film_size=(200, 100))
+        >>> camera.image([0, 0, 2, 1]).round(9).tolist()
+        [200.0, 100.0, 2.0]
         """
         p = elements("points", points, (4,))
         out = p @ self.image_matrix.T
@@ -258,6 +272,13 @@ class Camera:
         ------
         GeometryError
             If a point is not in front of the camera.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.geometry.camera import look_at
+        >>> camera = mb.Camera(look_at([0, 0, 0], [0, 0, 1]), fov=90, film_size=(200, 100))
+        >>> camera.pixels([0.5, 0, 1]).round(9).tolist()  # +x is to the left
+        [50.0, 50.0]
         """
         x = numbers(points, "points")
         if x.ndim == 0 or x.shape[-1] != 3:
@@ -274,6 +295,14 @@ class Camera:
 
         It is an ideal point of the image for directions parallel to the image plane, and has
         a negative last coordinate for directions that lead away behind the camera.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.geometry.camera import look_at
+        >>> camera = mb.Camera(look_at([0, 0, 0], [0, 0, 1]), fov=90, film_size=(200, 100))
+        >>> u, v, w = camera.vanishing_point([0, 0, 1])
+        >>> (u / w).round(9).item(), (v / w).round(9).item()
+        (100.0, 50.0)
         """
         return self.image(ideal(elements("direction", direction, (3,))))
 
@@ -288,6 +317,14 @@ class Camera:
         ------
         GeometryError
             If a plane is the plane at infinity.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.geometry.camera import look_at
+        >>> camera = mb.Camera(look_at([0, 0, 0], [0, 0, 1]), fov=90, film_size=(200, 100))
+        >>> a, b, c = camera.horizon([0, 1, 0, 1])  # of the plane y = -1
+        >>> (-c / b).round(9).item()  # the row of pixels in the middle
+        50.0
         """
         e = elements("plane", plane, (4,))
         if (norm(e[..., :3]) <= TOLERANCE * norm(e)).any():
@@ -295,7 +332,15 @@ class Camera:
         return e[..., :3] @ np.linalg.inv(self.image_matrix[:, :3])
 
     def direction(self, pixel: Any) -> np.ndarray:
-        """Return the direction ``(..., 3)`` of depth 1 in which pixels ``(..., 2)`` look."""
+        """Return the direction ``(..., 3)`` of depth 1 in which pixels ``(..., 2)`` look.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.geometry.camera import look_at
+        >>> camera = mb.Camera(look_at([0, 0, 0], [0, 0, 1]), fov=90, film_size=(200, 100))
+        >>> camera.direction([50, 50]).round(9).tolist()
+        [0.5, 0.0, 1.0]
+        """
         x = numbers(pixel, "pixel")
         if x.ndim == 0 or x.shape[-1] != 2:
             raise GeometryError.expected("pixel", "two numbers a pixel", f"shape {x.shape}")

@@ -266,6 +266,16 @@ def sphere(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> ball = mb.sphere(center=(0, 0, 1), radius=2)
+    >>> len(ball), ball.degree
+    (8, 4)
+    >>> ball.bounds()[:, 1].max(axis=0).tolist()
+    [2.0, 2.0, 3.0]
+    >>> mb.sphere(cover="tetrahedral").degree
+    2
     """
     c, r = vector("center", center), length("radius", radius)
     matrix = np.diag([r, r, r, 1.0])
@@ -305,6 +315,11 @@ def quadric_cover(A: Any, cover: str | BezierTriangles = "tetrahedral") -> Bezie
     ------
     GeometryError
         If `A` is not such a quadric.
+
+    Examples
+    --------
+    >>> len(mb.quadric_cover(np.diag([1.0, 4, 9, -1])))
+    10
     """
     form = normal_form(A)
     if form.name not in _FROM_SPHERE:
@@ -334,6 +349,11 @@ def ruled_cover(A: Any) -> BezierTriangles:
     ------
     GeometryError
         If `A` is not such a quadric.
+
+    Examples
+    --------
+    >>> len(mb.ruled_cover(np.diag([1.0, 1, -1, -1])))
+    8
     """
     if projective_type(A) != "ruled":
         raise GeometryError.expected("A", "a ruled quadric", classify_quadric(A))

@@ -70,6 +70,14 @@ class BezierCurve:
     NetError
         If the shape is not of this form, a number is NaN or infinite, or all control points
         are the zero vector.
+
+    Examples
+    --------
+    >>> arc = mb.BezierCurve([[1, 0, 1], [1, 1, 1], [0, 2, 2]])  # a quarter of a circle
+    >>> arc.degree, arc.weights.tolist()
+    (2, [1.0, 1.0, 2.0])
+    >>> np.hypot(*arc.points(0.3)).round(12).item()
+    1.0
     """
 
     def __init__(self, control_points: Any) -> None:
@@ -97,7 +105,13 @@ class BezierCurve:
 
     @classmethod
     def from_points(cls, points: Any, weights: Any = 1.0) -> BezierCurve:
-        """Return the curve with Euclidean control points ``(n+1, 2 | 3)`` and weights."""
+        """Return the curve with Euclidean control points ``(n+1, 2 | 3)`` and weights.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[1, 0], [1, 1], [0, 1]], [1, 1, 2]).control_points.tolist()
+        [[1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 2.0, 2.0]]
+        """
         x, w = numbers(points, "points"), numbers(weights, "weights")
         if x.ndim != 2 or x.shape[1] not in (2, 3):
             raise NetError.expected("points", "shape (n+1, 2) or (n+1, 3)", f"shape {x.shape}")
@@ -145,6 +159,12 @@ class BezierCurve:
         ----------
         t : (...) array_like
             Parameters, not required to lie in [0, 1].
+
+        Examples
+        --------
+        >>> curve = mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]])
+        >>> [level.tolist() for level in curve.de_casteljau(0.5)][1:]
+        [[[0.5, 1.0, 1.0], [1.5, 1.0, 1.0]], [[1.0, 1.0, 1.0]]]
         """
         t = numbers(t, "t")[..., None]
         c = self._net.shape[1]
@@ -159,7 +179,13 @@ class BezierCurve:
         return scheme
 
     def evaluate(self, t: Any) -> np.ndarray:
-        """Return homogeneous curve points ``(..., 3 | 4)`` by de Casteljau's algorithm."""
+        """Return homogeneous curve points ``(..., 3 | 4)`` by de Casteljau's algorithm.
+
+        Examples
+        --------
+        >>> mb.BezierCurve([[1, 0, 1], [1, 1, 1], [0, 2, 2]]).evaluate(0.5).tolist()
+        [0.75, 1.0, 1.25]
+        """
         return self.de_casteljau(t)[-1][0]
 
     def points(self, t: Any) -> np.ndarray:
@@ -169,11 +195,22 @@ class BezierCurve:
         ------
         GeometryError
             If one lies at infinity.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).points([0, 0.5]).tolist()
+        [[0.0, 0.0], [1.0, 1.0]]
         """
         return affine(self.evaluate(t))
 
     def derivatives(self, t: Any, order: int = 1) -> np.ndarray:
-        """Return homogeneous derivatives ``(order+1, ..., 3 | 4)``, from order 0 up."""
+        """Return homogeneous derivatives ``(order+1, ..., 3 | 4)``, from order 0 up.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).derivatives(0.5).tolist()
+        [[1.0, 1.0, 1.0], [2.0, 0.0, 0.0]]
+        """
         t = numbers(t, "t")
         order = count(order, "order", 0)
         out = np.zeros((order + 1, *t.shape, self._net.shape[1]))
@@ -204,6 +241,11 @@ class BezierCurve:
         ------
         GeometryError
             If a point lies at infinity.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).affine_derivatives(0.5)[1].tolist()
+        [2.0, 0.0]
         """
         d = self.derivatives(t, order)
         out = np.zeros((*d.shape[:-1], d.shape[-1] - 1))
@@ -225,6 +267,12 @@ class BezierCurve:
         ------
         GeometryError
             Where these coincide (the curve stands still).
+
+        Examples
+        --------
+        >>> a, b, c = mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).tangent(0.5)
+        >>> (a / b).item(), (c / b).item()  # the line y = 1
+        (0.0, -1.0)
         """
         last = self.de_casteljau(t)[-2]
         return join(last[0], last[1])
@@ -236,6 +284,13 @@ class BezierCurve:
         ------
         GeometryError
             If the curve is not of this kind, or where the plane is not determined.
+
+        Examples
+        --------
+        >>> cubic = mb.BezierCurve.from_points([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1]])
+        >>> plane = cubic.osculating_plane(0)
+        >>> (plane / plane[2]).tolist()  # z = 0
+        [0.0, 0.0, 1.0, -0.0]
         """
         if self.dimension != 3 or self.degree < 2:
             raise GeometryError.expected("curve", "a space curve of degree 2 or more", f"{self!r}")
@@ -250,6 +305,12 @@ class BezierCurve:
         *arguments : float or (2,) array_like
             Exactly n parameters; a pair ``(1-t, t)`` may have any sum, ``(-1, 1)`` is the
             parameter at infinity.
+
+        Examples
+        --------
+        >>> curve = mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]])
+        >>> curve.blossom(0, 1).tolist()  # the control point in the middle
+        [1.0, 2.0, 1.0]
         """
         if len(arguments) != self.degree:
             raise GeometryError.expected("arguments", f"{self.degree} of them", len(arguments))
@@ -268,6 +329,12 @@ class BezierCurve:
         ----------
         start, end : float or (2,) array_like
             Different parameters; pairs as in `blossom`.
+
+        Examples
+        --------
+        >>> curve = mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]])
+        >>> curve.subcurve(0, 0.5).control_points[:, :2].tolist()
+        [[0.0, 0.0], [0.5, 1.0], [1.0, 1.0]]
         """
         a, b = _pair(start, "start"), _pair(end, "end")
         if a[0] * b[1] == a[1] * b[0]:
@@ -276,14 +343,27 @@ class BezierCurve:
         return BezierCurve([self.blossom(*[a] * (n - k), *[b] * k) for k in range(n + 1)])
 
     def split(self, t: float = 0.5) -> tuple[BezierCurve, BezierCurve]:
-        """Return the pieces before and after `t`, read off de Casteljau's scheme."""
+        """Return the pieces before and after `t`, read off de Casteljau's scheme.
+
+        Examples
+        --------
+        >>> first, second = mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).split()
+        >>> second.points(0).tolist()
+        [1.0, 1.0]
+        """
         scheme = self.de_casteljau(number(t, "t"))
         left = np.stack([level[0] for level in scheme])
         right = np.stack([level[-1] for level in scheme[::-1]])
         return BezierCurve(left), BezierCurve(right)
 
     def elevate(self, times: int = 1) -> BezierCurve:
-        """Return the same curve as one of degree ``n + times``."""
+        """Return the same curve as one of degree ``n + times``.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [2, 2]]).elevate().control_points[:, :2].tolist()
+        [[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]
+        """
         net = self._net
         for _ in range(count(times, "times", 0)):
             m = len(net)
@@ -292,7 +372,13 @@ class BezierCurve:
         return BezierCurve(net)
 
     def reverse(self) -> BezierCurve:
-        """Return the curve run through backwards."""
+        """Return the curve run through backwards.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).reverse().points(0).tolist()
+        [2.0, 0.0]
+        """
         return BezierCurve(self._net[::-1])
 
     def reparametrize(self, factor: float) -> BezierCurve:
@@ -300,13 +386,25 @@ class BezierCurve:
 
         The point at `t` moves to `s` with ``s / (1-s) = t / (1-t) / factor``; a negative factor
         gives the complementary segment.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]]).reparametrize(2).weights.tolist()
+        [1.0, 2.0, 4.0]
         """
         if number(factor, "factor") == 0:
             raise GeometryError.expected("factor", "a number other than 0", factor)
         return BezierCurve(self._net * float(factor) ** np.arange(len(self._net))[:, None])
 
     def transform(self, m: Any) -> BezierCurve:
-        """Return the image under the collineation `m`, a regular (3, 3) or (4, 4) matrix."""
+        """Return the image under the collineation `m`, a regular (3, 3) or (4, 4) matrix.
+
+        Examples
+        --------
+        >>> curve = mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]])
+        >>> curve.transform(np.diag([1.0, 3, 1])).points(0.5).tolist()
+        [1.0, 3.0]
+        """
         c = self._net.shape[1]
         return BezierCurve(self._net @ matrix("m", m, ((c, c),)).T)
 
@@ -323,6 +421,14 @@ class BezierCurve:
         ------
         GeometryError
             If the matrix is not of this form, or the curve collapses to the centre.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.geometry.collineations import central_projection
+        >>> curve = mb.BezierCurve.from_points([[0, 0, 1], [1, 2, 1], [2, 0, 1]])
+        >>> shadow = curve.project(central_projection([0, 0, 2, 1], [0, 0, 1, 0]))
+        >>> shadow.points(0.5).tolist()  # from the point (0, 0, 2) to the plane z = 0
+        [2.0, 2.0, 0.0]
         """
         a = numbers(m, "m")
         c = self._net.shape[1]
@@ -339,5 +445,11 @@ class BezierCurve:
         return BezierCurve(net)
 
     def farin_points(self) -> np.ndarray:
-        """Return the Farin points (weight points) ``b_i + b_{i+1}``, ``(n, 3 | 4)``."""
+        """Return the Farin points (weight points) ``b_i + b_{i+1}``, ``(n, 3 | 4)``.
+
+        Examples
+        --------
+        >>> mb.BezierCurve.from_points([[0, 0], [1, 2], [2, 0]], [1, 3, 1]).farin_points().tolist()
+        [[3.0, 6.0, 4.0], [5.0, 6.0, 4.0]]
+        """
         return self._net[:-1] + self._net[1:]

@@ -75,6 +75,12 @@ class DualBezierCurve:
     ------
     NetError
         If the shape is not of this form, or the numbers are unusable (as `BezierCurve`).
+
+    Examples
+    --------
+    >>> dual = mb.DualBezierCurve([[0, 1, 0], [0.5, 0, -0.5], [0, 1, -1]])
+    >>> dual.degree, dual.evaluate(0.5).tolist()
+    (2, [0.25, 0.5, -0.5])
     """
 
     def __init__(self, control_elements: Any) -> None:

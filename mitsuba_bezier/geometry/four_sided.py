@@ -149,6 +149,16 @@ def patchwork(A: Any, nets: Any, neighbours: Any) -> BezierTriangles:
     ------
     GeometryError
         If an edge is not on the quadric, or two neighbours do not share their ends.
+
+    Examples
+    --------
+    >>> octahedron = np.vstack([np.eye(3), -np.eye(3)])
+    >>> upper = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2]]
+    >>> faces = upper + [[b, a, 5] for a, b, _ in upper]
+    >>> nets = mb.triangulated(octahedron, faces).control_points[:8]
+    >>> between = mb.patchwork(np.diag([1.0, 1, 1, -1]), nets, [((0, 1), (1, 2))])
+    >>> len(between), between.degree
+    (2, 4)
     """
     parts = []
     for (p, e), (q, f) in neighbours:

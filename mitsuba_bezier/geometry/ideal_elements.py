@@ -140,8 +140,9 @@ class Perspectivity:
     Examples
     --------
     >>> p = Perspectivity([0, 0, 1, 1], [0, 0, 1, 0], [0, 1, 0, -1])
-    >>> p.image([0, 2, 0, 1]) / p.image([0, 2, 0, 1])[3]
-    array([0. , 1. , 0.5, 1. ])
+    >>> x, y, z, w = p.image([1, 2, 0, 1])
+    >>> (x / w).item(), (y / w).item(), (z / w).item()
+    (0.5, 1.0, 0.5)
     """
 
     def __init__(self, center: Any, source: Any, target: Any) -> None:

@@ -33,6 +33,11 @@ def disk(center: Any = (0, 0, 0), radii: Any = (1, 1)) -> BezierTriangles:
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> (mb.disk(radii=2).area().sum() / np.pi).round(9).item()
+    4.0
     """
     c, r = vector("center", center), lengths("radii", radii, 2)
     return placed(disk_sectors(1.0, 0.0, True), c, [*r, 1.0])
@@ -67,6 +72,12 @@ def quarter_plane(
     ------
     GeometryError
         If the directions are dependent, or a vector is not of this form.
+
+    Examples
+    --------
+    >>> wedge = mb.quarter_plane()
+    >>> wedge.degree, wedge.points(0, [[0.25, 0.5]]).tolist()
+    (1, [[1.0, 2.0, 0.0]])
     """
     p = vector("corner", corner)
     a, b = _directions(u, v, ("u", "v"))
@@ -90,6 +101,12 @@ def half_plane(
     ------
     GeometryError
         If the directions are dependent, or a vector is not of this form.
+
+    Examples
+    --------
+    >>> half = mb.half_plane()
+    >>> len(half), half.degree
+    (2, 1)
     """
     point = vector("point", point)
     a, b = _directions(along, inwards, ("along", "inwards"))
@@ -111,6 +128,12 @@ def plane(point: Any = (0, 0, 0), u: Any = (1, 0, 0), v: Any = (0, 1, 0)) -> Bez
     ------
     GeometryError
         If the directions are dependent, or a vector is not of this form.
+
+    Examples
+    --------
+    >>> floor = mb.plane()
+    >>> len(floor), bool((floor.weights == 0).any())  # it has points at infinity
+    (4, True)
     """
     point = vector("point", point)
     a, b = _directions(u, v, ("u", "v"))

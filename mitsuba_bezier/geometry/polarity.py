@@ -166,6 +166,13 @@ class Polarity:
     ------
     GeometryError
         If it is not: a pair of lines, a cone, a pair of planes.
+
+    Examples
+    --------
+    >>> circle = mb.Polarity(np.diag([1.0, 1, -1]))
+    >>> line = circle.polar([2, 0, 1])
+    >>> (line / line[0]).round(12).tolist()  # x = 1/2
+    [1.0, 0.0, -0.5]
     """
 
     def __init__(self, A: Any) -> None:

@@ -91,6 +91,14 @@ def characterize(net: Any, tolerance: float = 1e-9) -> QuadricTriangle:
     ------
     NetError
         If the net is not of this form or not finite.
+
+    Examples
+    --------
+    >>> sphere, pole = np.diag([1.0, 1, 1, -1]), [0, 0, 1, 1]
+    >>> net = mb.quadric_patch(sphere, pole, [[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, -1, 1]])
+    >>> found = mb.characterize(net)
+    >>> found.name, (found.center / found.center[3]).round(9).tolist()
+    ('ellipsoid', [-0.0, -0.0, 1.0, 1.0])
     """
     b = finite_array("net", net, (6, 4), NetError)
     a = fit_quadric(b, tolerance)

@@ -199,7 +199,13 @@ def _name(rank: int, positive: int, slope: float, constant: float) -> str:
 
 
 def classify_quadric(A: Any, tolerance: float = 1e-10) -> str:
-    """Return the affine name of a quadric; see `normal_form`."""
+    """Return the affine name of a quadric; see `normal_form`.
+
+    Examples
+    --------
+    >>> mb.classify_quadric(np.diag([1.0, 1, -1, -1]))
+    'hyperboloid of one sheet'
+    """
     return normal_form(A, tolerance).name
 
 
@@ -212,6 +218,11 @@ def projective_type(A: Any, tolerance: float = 1e-10) -> str:
         "oval" (3, 1), "ruled" (2, 2), "cone" (2, 1), "pair of planes" (1, 1), "double plane"
         (1, 0), and without a real surface: "empty" (4, 0), "point" (3, 0), "line" (2, 0).
         Cylinders are cones, and an imaginary cylinder is its ideal point.
+
+    Examples
+    --------
+    >>> mb.projective_type(np.diag([1.0, 1, -1, -1]))
+    'ruled'
     """
     return normal_form(A, tolerance).projective
 
@@ -264,6 +275,16 @@ def collineation_to_paraboloid(A: Any, tolerance: float = 1e-10) -> ParaboloidMa
     ------
     GeometryError
         If `A` is no quadric, or has no paraboloid: no real surface, or planes.
+
+    Examples
+    --------
+    >>> found = mb.collineation_to_paraboloid(np.diag([1.0, 1, 1, -1]))
+    >>> found.equation
+    'z = x^2 + y^2'
+    >>> image = found.matrix @ [0.6, 0, 0.8, 1]  # a point of the unit sphere
+    >>> x, y, z = image[:3] / image[3]
+    >>> bool(np.isclose(z, x**2 + y**2))
+    True
     """
     form = normal_form(A, tolerance)
     if form.projective not in _PARABOLOIDS:

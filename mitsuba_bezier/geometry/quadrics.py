@@ -79,6 +79,13 @@ def quadric_patch(A: Any, center: Any, points: Any) -> np.ndarray:
     GeometryError
         If `A` is no quadric, the centre is not on it or is its singular point, a vector is
         zero, or centre and points are dependent.
+
+    Examples
+    --------
+    >>> sphere, pole = np.diag([1.0, 1, 1, -1]), [0, 0, 1, 1]
+    >>> net = mb.quadric_patch(sphere, pole, [[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, -1, 1]])
+    >>> np.allclose(np.einsum("ki,ij,kj->k", net[[0, 3, 5]], sphere, net[[0, 3, 5]]), 0)
+    True
     """
     a = quadric_matrix(A)
     s = finite_array("center", center, (4,), GeometryError)
@@ -258,6 +265,13 @@ def fit_quadrics(
     ------
     NetError
         If the array is not of this form or not finite.
+
+    Examples
+    --------
+    >>> nets = np.concatenate([mb.sphere().control_points, mb.sphere(radius=2).control_points])
+    >>> A, ok = mb.fit_quadrics(nets)
+    >>> int(ok.sum()), np.allclose(A[8], np.diag([1, 1, 1, -4]) / 4)
+    (16, True)
     """
     nets = finite_array("nets", nets, (None, None, 4), NetError)
     n = bernstein.degree_of(nets.shape[1], "nets")
@@ -301,6 +315,12 @@ def fit_quadric(net: Any, tolerance: float = 1e-9, flat: float = 1e-13) -> np.nd
     ------
     NetError
         If the net is not of this form or not finite.
+
+    Examples
+    --------
+    >>> A = mb.fit_quadric(mb.sphere().control_points[0])
+    >>> np.allclose(A, np.diag([1, 1, 1, -1]))
+    True
     """
     net = finite_array("net", net, (None, 4), NetError)
     a, ok = fit_quadrics(net[None], tolerance, flat)

@@ -56,6 +56,12 @@ def ellipsoid(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> egg = mb.ellipsoid(radii=(3, 2, 1))
+    >>> egg.bounds()[:, 1].max(axis=0).tolist()
+    [3.0, 2.0, 1.0]
     """
     c, r = vector("center", center), lengths("radii", radii, 3)
     return placed(list(sphere(cover=cover).control_points), c, r)
@@ -87,6 +93,12 @@ def elliptic_paraboloid(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> bowl = mb.elliptic_paraboloid(radii=2, height=1)
+    >>> len(bowl), bowl.degree
+    (3, 2)
     """
     c, r, h = vector("center", center), lengths("radii", radii, 2), length("height", height)
     a = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, -0.5], [0, 0, -0.5, 0]])
@@ -119,6 +131,12 @@ def hyperbolic_paraboloid(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> saddle = mb.hyperbolic_paraboloid()
+    >>> len(saddle), saddle.degree
+    (2, 2)
     """
     c, r, h = vector("center", center), lengths("radii", radii, 2), length("height", height)
     a = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, -0.5], [0, 0, -0.5, 0]])
@@ -156,6 +174,12 @@ def hyperboloid_one_sheet(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> tower = mb.hyperboloid_one_sheet(radii=(1, 1, 2), height=4)
+    >>> mb.classify_quadric(mb.fit_quadric(tower.control_points[0]))
+    'hyperboloid of one sheet'
     """
     c, r, h = vector("center", center), lengths("radii", radii, 3), length("height", height)
     z = h / (2 * r[2])
@@ -193,6 +217,12 @@ def hyperboloid_two_sheets(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> sheets = mb.hyperboloid_two_sheets()
+    >>> mb.classify_quadric(mb.fit_quadric(sheets.control_points[0]))
+    'hyperboloid of two sheets'
     """
     c, r, h = vector("center", center), lengths("radii", radii, 3), length("height", height)
     a = np.diag([1.0, 1.0, -1.0, 1.0])
@@ -236,6 +266,12 @@ def cone(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> hat = mb.cone(height=2, capped=True)
+    >>> len(hat), hat.bounds()[:, 1, 2].round(12).tolist()  # three patches reach the apex
+    (6, [2.0, 2.0, 2.0, 0.0, 0.0, 0.0])
     """
     c, r, h = vector("center", center), lengths("radii", radii, 2), length("height", height)
     # All control points of a leg but the one on the rim lie in the apex: the patch is then
@@ -272,6 +308,11 @@ def cylinder(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> len(mb.cylinder(height=2)), len(mb.cylinder(height=2, capped=True))
+    (6, 12)
     """
     c, r, h = vector("center", center), lengths("radii", radii, 2), length("height", height)
     nets = band(np.diag([1.0, 1.0, 0.0, -1.0]), (1.0, 0.0), (1.0, 1.0))
@@ -316,6 +357,12 @@ def torus(
     ------
     GeometryError
         If a parameter is not of this form.
+
+    Examples
+    --------
+    >>> ring = mb.torus(radius=2, tube=0.5)
+    >>> len(ring), ring.degree
+    (32, 4)
     """
     c, big, small = vector("center", center), length("radius", radius), length("tube", tube)
     if not small < big:

@@ -32,6 +32,14 @@ class BSplineSurface:
     ------
     NetError, GeometryError
         If points or knots are not of this form.
+
+    Examples
+    --------
+    >>> i, j = np.meshgrid(range(5), range(4), indexing="ij")
+    >>> net = np.stack([i, j, i * j / 4, np.ones((5, 4))], axis=-1)
+    >>> surface = mb.BSplineSurface(net)
+    >>> surface.degrees, len(surface.to_triangles())
+    ((3, 3), 4)
     """
 
     def __init__(self, control_points: Any, knots: Any = None, degrees: Any = (3, 3)) -> None:

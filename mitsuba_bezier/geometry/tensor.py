@@ -94,6 +94,13 @@ def tensor_to_triangles(net: Any) -> BezierTriangles:
     ------
     NetError
         If the array is not of this form or not finite.
+
+    Examples
+    --------
+    >>> net = [[[0, 0, 0, 1], [0, 1, 0, 1]], [[1, 0, 0, 1], [1, 1, 1, 1]]]
+    >>> patches = mb.tensor_to_triangles(net)
+    >>> len(patches), patches.degree
+    (2, 2)
     """
     nets = _tensor_nets(net, "net")
     count, p, q = len(nets), nets.shape[1] - 1, nets.shape[2] - 1

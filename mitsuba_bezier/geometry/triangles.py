@@ -48,6 +48,18 @@ class BezierTriangles:
     NetError
         If the shape is not of this form, a number is NaN or infinite, or all control points
         of one net are the zero vector.
+
+    Examples
+    --------
+    >>> net = np.ones((6, 4))  # degree 2, all weights 1
+    >>> net[:, :3] = [[1, 0, 0], [1, 1, 0], [0.5, 0, 0], [0, 1, 0], [0, 0.5, 0], [0, 0, 0]]
+    >>> patches = mb.BezierTriangles(net)
+    >>> len(patches), patches.degree
+    (1, 2)
+    >>> patches.points(0, [[0.5, 0.5]]).tolist()  # patch 0 at u = v = 1/2
+    [[0.75, 0.75, 0.0]]
+    >>> len(patches.split()), patches.elevate().degree
+    (4, 3)
     """
 
     def __init__(self, control_points: Any) -> None:
@@ -161,6 +173,11 @@ class BezierTriangles:
         -------
         (N, 4) array
             ``(w x, w y, w z, w)``; ``w = 0`` is a point at infinity.
+
+        Examples
+        --------
+        >>> mb.sphere().evaluate(0, [[1, 0], [0.5, 0.5]])[0].tolist()
+        [5.0717967697244895, 0.0, 0.0, 5.0717967697244895]
         """
         patch, uv = self._arguments(patch, uv)
         return self._combine(self._net, patch, bernstein.basis(self.degree, uv))
@@ -172,6 +189,12 @@ class BezierTriangles:
         -------
         list of (N, 4) arrays
             For ``order = 1``: value, d/du, d/dv; for ``order = 2`` also uu, uv, vv.
+
+        Examples
+        --------
+        >>> value, du, dv = mb.quarter_plane().partials(0, [[0.25, 0.5]], order=1)
+        >>> du.tolist(), dv.tolist()
+        ([[1.0, 0.0, 0.0, -1.0]], [[0.0, 1.0, 0.0, -1.0]])
         """
         return self._partials(self._net, patch, uv, order)
 
@@ -194,6 +217,12 @@ class BezierTriangles:
         """Evaluate the affine point with first and second partials (quotient rule).
 
         Where the point is at infinity the result is not finite.
+
+        Examples
+        --------
+        >>> at = mb.quarter_plane().differential(0, [[0.25, 0.5]])
+        >>> at.p.tolist(), at.dp_du.tolist()
+        ([[1.0, 2.0, 0.0]], [[8.0, 8.0, 0.0]])
         """
         h = self._partials(self._free_net, patch, uv, 2)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -216,7 +245,13 @@ class BezierTriangles:
             )
 
     def points(self, patch: Any, uv: Any) -> np.ndarray:
-        """Evaluate affine surface points ``(N, 3)``."""
+        """Evaluate affine surface points ``(N, 3)``.
+
+        Examples
+        --------
+        >>> mb.sphere().points([0, 7], [[1, 0], [0, 1]]).tolist()
+        [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+        """
         patch, uv = self._arguments(patch, uv)
         h = self._combine(self._free_net, patch, bernstein.basis(self.degree, uv))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -227,6 +262,12 @@ class BezierTriangles:
 
         Where the cross product vanishes (collapsed edge or corner), the limit from the
         inside of the triangle is taken, by stepping towards the centroid.
+
+        Examples
+        --------
+        >>> ball = mb.sphere(radius=2)
+        >>> np.allclose(ball.normals(0, [[0.3, 0.3]]), ball.points(0, [[0.3, 0.3]]) / 2)
+        True
         """
         patch, uv = self._arguments(patch, uv)
         uv = uv.copy()
@@ -261,6 +302,12 @@ class BezierTriangles:
         list of (K_r, 4) arrays
             The nets of degree ``n, n - 1, ..., 0``. The last one is the point, and the three points
             before it span the tangent plane.
+
+        Examples
+        --------
+        >>> scheme = mb.sphere().de_casteljau(0, (0.25, 0.25))
+        >>> [len(level) for level in scheme]
+        [15, 10, 6, 3, 1]
         """
         number, at = self._arguments(patch, uv)
         if len(at) != 1:
@@ -282,6 +329,12 @@ class BezierTriangles:
         ------
         NetError
             If they are not of this form.
+
+        Examples
+        --------
+        >>> patch = mb.hyperbolic_paraboloid()
+        >>> patch.blossom(0, (1, 0), (1, 0)).tolist() == patch.control_points[0, 0].tolist()
+        True
         """
         if len(arguments) != self.degree:
             raise NetError.expected("arguments", f"{self.degree} of them", f"{len(arguments)}")
@@ -304,6 +357,13 @@ class BezierTriangles:
         ----------
         corners : (3, 3) array_like
             Barycentric coordinates of the new corners, one a row.
+
+        Examples
+        --------
+        >>> saddle = mb.hyperbolic_paraboloid()
+        >>> halves = saddle.subtriangle([[1, 0, 0], [0, 1, 0], [0.5, 0, 0.5]])
+        >>> len(halves), halves.degree
+        (2, 2)
         """
         corners = np.asarray(corners, dtype=np.float64)
         if corners.shape != (3, 3) or not np.isfinite(corners).all():
@@ -318,12 +378,25 @@ class BezierTriangles:
         """Return the midpoint split: patch ``p`` becomes ``4p .. 4p + 3``.
 
         The order is: at corner A, at B, at C, the middle one; orientation is kept.
+
+        Examples
+        --------
+        >>> len(mb.sphere().split())
+        32
         """
         parts = np.einsum("ekl,plc->pekc", bernstein.split_matrices(self.degree), self._net)
         return BezierTriangles(parts.reshape(-1, *self._net.shape[1:]))
 
     def elevate(self, times: int = 1) -> BezierTriangles:
-        """Return the same surfaces as nets of degree ``n + times``."""
+        """Return the same surfaces as nets of degree ``n + times``.
+
+        Examples
+        --------
+        >>> plane = mb.quarter_plane()
+        >>> cubic = plane.elevate(2)
+        >>> cubic.degree, np.allclose(cubic.points(0, [[0.2, 0.3]]), plane.points(0, [[0.2, 0.3]]))
+        (3, True)
+        """
         if times < 0:
             raise NetError.expected("times", "a number of elevations >= 0", times)
         net = self._net
@@ -343,6 +416,12 @@ class BezierTriangles:
         ------
         NetError
             If the matrix is not of this form, not finite, or singular.
+
+        Examples
+        --------
+        >>> flat = mb.sphere().transform(np.diag([1.0, 1, 0.5, 1]))
+        >>> flat.bounds()[:, 1].max(axis=0).tolist()
+        [1.0, 1.0, 0.5]
         """
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape != (4, 4) or not np.isfinite(m).all():
@@ -355,12 +434,26 @@ class BezierTriangles:
         return BezierTriangles(self._free_net @ m.T)
 
     def reverse(self) -> BezierTriangles:
-        """Return the same surfaces with the other orientation (corners B and C exchanged)."""
+        """Return the same surfaces with the other orientation (corners B and C exchanged).
+
+        Examples
+        --------
+        >>> inside, uv = mb.sphere().reverse(), [[0.3, 0.3]]
+        >>> np.allclose(inside.normals(0, uv), -inside.points(0, uv))
+        True
+        """
         return BezierTriangles(self._net[:, bernstein.permutation(self.degree, (0, 2, 1))])
 
     @staticmethod
     def join(parts: Sequence[BezierTriangles]) -> BezierTriangles:
-        """Return all patches in one object, elevated to the highest degree among them."""
+        """Return all patches in one object, elevated to the highest degree among them.
+
+        Examples
+        --------
+        >>> both = mb.BezierTriangles.join([mb.disk(), mb.sphere()])
+        >>> len(both), both.degree
+        (11, 4)
+        """
         if not parts:
             raise NetError.expected("parts", "at least one BezierTriangles", "none")
         top = max(p.degree for p in parts)
@@ -382,6 +475,11 @@ class BezierTriangles:
 
         They hold the surface, whatever its weights, and are larger by at most a thousandth of
         its size. Sides where a patch reaches infinity are infinite. `hulls` is quicker.
+
+        Examples
+        --------
+        >>> mb.sphere().bounds()[0].tolist()
+        [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
         """
         return surface_boxes(self._free_net)
 
@@ -390,6 +488,12 @@ class BezierTriangles:
 
         They hold the surface where weights have one sign; a control vector opens the box to
         infinity on its side. A net whose weights change sign has the whole space as box.
+
+        Examples
+        --------
+        >>> wide, narrow = mb.sphere().hulls()[0], mb.sphere().bounds()[0]
+        >>> bool((wide[0] <= narrow[0]).all() and (wide[1] >= narrow[1]).all())
+        True
         """
         return hull_boxes(self._free_net)
 
@@ -398,6 +502,11 @@ class BezierTriangles:
 
         Gauss-Legendre on the triangle collapsed to the square, on midpoint splits: each part is
         split until it and its four parts agree to `tolerance` of the patch, at most eight times.
+
+        Examples
+        --------
+        >>> (mb.sphere().area().sum() / np.pi).round(9).item()
+        4.0
         """
         return patch_areas(self._free_net, tolerance)
 
@@ -406,6 +515,12 @@ class BezierTriangles:
 
         Each patch gets ``resolution**2`` triangles; vertices of different patches are not
         merged.
+
+        Examples
+        --------
+        >>> vertices, faces = mb.sphere().tessellate(4)
+        >>> len(faces)  # 16 for each of eight patches
+        128
         """
         if resolution < 1:
             raise NetError.expected("resolution", "a number of subdivisions >= 1", resolution)

@@ -106,6 +106,14 @@ def triangulated(points: Any, faces: Any) -> BezierTriangles:
     GeometryError
         If points lie off the sphere, or faces overlap, leave a gap, are too large, or are
         turned inwards.
+
+    Examples
+    --------
+    >>> octahedron = np.vstack([np.eye(3), -np.eye(3)])
+    >>> upper = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2]]
+    >>> faces = upper + [[b, a, 5] for a, b, _ in upper]
+    >>> len(mb.triangulated(octahedron, faces))  # 8 faces, 12 lunes
+    20
     """
     p, f = _checked_triangulation(points, faces)
     centers = -p[f].sum(axis=1)

@@ -146,6 +146,15 @@ def load(path: str | PathLike[str]) -> BezierTriangles:
     ------
     FileFormatError
         As `read`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     mb.save(mb.torus(), f"{folder}/ring.vtu")
+    ...     ring = mb.load(f"{folder}/ring.vtu")
+    >>> len(ring), ring.degree
+    (32, 4)
     """
     model = read(path, fields=False)
     model.report.warn()
@@ -233,6 +242,14 @@ def save(
     FileFormatError
         If the suffix is unknown, the folder does not exist, an option does not fit the format
         or the format cannot hold the nets.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     mb.save([mb.sphere(), mb.torus()], f"{folder}/both.vtu")
+    ...     len(mb.load(f"{folder}/both.vtu"))
+    40
     """
     writer_options(path, options)
     _function(path, _WRITERS, "written")(triangles, path, **options)

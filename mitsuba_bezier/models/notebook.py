@@ -78,6 +78,12 @@ def show(model: Any, **look: Any) -> Picture:
     ------
     BezierError
         As `scene`, or if no variant is set.
+
+    Examples
+    --------
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> mb.show(mb.torus(), size=(32, 24), spp=1)
+    <Picture of 32 x 24 pixels>
     """
     import mitsuba as mi
 

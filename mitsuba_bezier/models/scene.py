@@ -200,7 +200,10 @@ def scene(model: Any, *, appearance: Appearance | None = None, **look: Any) -> d
 
     Examples
     --------
-    >>> picture = mi.render(mi.load_dict(scene(sphere(), view="front", spp=16)))
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> scene = mb.scene(mb.sphere(), view="front", size=(32, 24), spp=1)
+    >>> mi.render(mi.load_dict(scene)).shape
+    (24, 32, 4)
     """
     import mitsuba as mi
 

@@ -77,7 +77,7 @@ def spot_derivatives(
     >>> from mitsuba_bezier.optics import Constant, Lens, Surface, spot_derivatives
     >>> front = Surface(1 / 50, 4, Constant(1.5), semi_diameter=10, stop=True)
     >>> lens = Lens([front, Surface(-1 / 50, 47, semi_diameter=10)])
-    >>> spot_derivatives(lens).thickness[-1] > 0  # it is in focus before that
+    >>> bool(spot_derivatives(lens).thickness[-1] > 0)  # it is in focus before that
     True
     """
     p = pupil_grid() if pupil is None else np.atleast_2d(np.asarray(pupil, float))

@@ -125,10 +125,26 @@ def ray_intersect(
     ------
     VariantError
         In a variant that cannot run a Dr.Jit kernel.
+
+    Examples
+    --------
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> scene = mi.load_dict({"type": "scene", "ball": mb.shape(mb.sphere())})
+    >>> hit = mb.ray_intersect(scene, mi.Ray3f([0, -5, 0], [0, 1, 0]))
+    >>> round(float(hit.t[0]), 6)
+    4.0
     """
     return SceneRays(scene).intersect(ray, ray_flags, coherent, active)
 
 
 def ray_test(scene: Any, ray: Any, active: Any = True) -> Any:
-    """Return whether rays are blocked by any shape of a scene; see `ray_intersect`."""
+    """Return whether rays are blocked by any shape of a scene; see `ray_intersect`.
+
+    Examples
+    --------
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> scene = mi.load_dict({"type": "scene", "ball": mb.shape(mb.sphere())})
+    >>> bool(mb.ray_test(scene, mi.Ray3f([0, -5, 0], [0, 1, 0]))[0])
+    True
+    """
     return SceneRays(scene).test(ray, active)

@@ -78,6 +78,13 @@ def denoise(image: Any, aovs: Any = None, *, hdr: bool = True) -> np.ndarray:
         If ``mitsuba-oidn`` is not installed.
     BezierError
         If a shape does not fit.
+
+    Examples
+    --------
+    >>> noisy = np.random.default_rng(0).random((32, 32, 3), np.float32)
+    >>> clean = mb.denoise(noisy)
+    >>> bool(clean.std() < noisy.std() / 3)
+    True
     """
     oidn = check_denoiser()
     pixels = np.ascontiguousarray(np.array(image), dtype=np.float32)

@@ -26,7 +26,10 @@ def original(instance: Any, name: str) -> Callable[..., Any]:
 
     Examples
     --------
-    >>> original(scene, "ray_test")(ray, active=True)  # doctest: +SKIP
+    >>> scene = mi.load_dict({"type": "scene", "ball": mb.shape(mb.sphere())})
+    >>> ray = mi.Ray3f([0, -5, 0], [0, 1, 0])
+    >>> scene.ray_test(ray), original(scene, "ray_test")(ray)
+    ([True], [False])
     """
     for owner in type(instance).__mro__:
         method = _originals.get((owner, name))

@@ -44,8 +44,14 @@ class native:
 
     Examples
     --------
-    >>> with mb.native(False):
-    ...     scene.ray_test(ray)  # as without this package
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> scene = mi.load_dict({"type": "scene", "ball": mb.shape(mb.sphere())})
+    >>> ray = mi.Ray3f([0, -5, 0], [0, 1, 0])
+    >>> with mb.native(False):  # as without this package
+    ...     scene.ray_test(ray)
+    [False]
+    >>> scene.ray_test(ray)
+    [True]
     """
 
     def __init__(self, on: bool = True) -> None:

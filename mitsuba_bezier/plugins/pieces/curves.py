@@ -123,6 +123,13 @@ def boundary_curves(
     """Return the boundary curves of patches as a shape of a scene; those that two share, once.
 
     Parameters as for `curve_tubes`; sides that have shrunk to a point are left out.
+
+    Examples
+    --------
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> edges = mb.boundary_curves(mb.sphere(), radius=0.02)
+    >>> list(edges)
+    ['boundary']
     """
     found: dict[tuple[float, ...], BezierCurve] = {}
     for patch in range(len(_checked(patches))):
@@ -149,6 +156,12 @@ def isoparametric_lines(
     """Return isoparametric lines of patches in all three directions, `lines` each, as a shape.
 
     Other parameters as for `curve_tubes`.
+
+    Examples
+    --------
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> list(mb.isoparametric_lines(mb.sphere(), radius=0.01, lines=3))
+    ['lines']
     """
     steps = np.arange(1, count(lines, "lines", 1) + 1) / (lines + 1)
     corners, found = np.eye(3), []

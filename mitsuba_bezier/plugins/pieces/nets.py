@@ -111,6 +111,14 @@ def net_shapes(
     ------
     GeometryError
         If a parameter is not of this kind, or no control point is finite.
+
+    Examples
+    --------
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> shapes = mb.net_shapes(mb.disk(), radius=0.01)
+    >>> scene = {"type": "scene", "disk": mb.shape(mb.disk()), **shapes}
+    >>> sorted({shape["type"] for shape in shapes.values()})
+    ['cylinder', 'sphere']
     """
     r = length("radius", radius)
     reach = 20 * r if vector_length is None else length("vector_length", vector_length)
