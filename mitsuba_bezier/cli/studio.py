@@ -23,7 +23,8 @@ def add_parser(subparsers: Any) -> None:
         "Drag points, change weights and degree, save. Needs the extra 'studio' (viser).",
     )
     add = parser.add_argument
-    add("net", metavar="FILE|NAME", nargs="?", help="a file of patches, or a preset by its name")
+    says = "a file of patches, or one of the lecture's figures by its name"
+    add("net", metavar="FILE|NAME", nargs="?", help=says)
     add("--patch", type=int, default=0, help="which patch of a file (default: 0)")
     add("--host", default="127.0.0.1", help="address to listen on (default: this machine alone)")
     add("--port", type=int, default=8080, help="(default: 8080)")
@@ -34,18 +35,17 @@ def add_parser(subparsers: Any) -> None:
 
 
 def first_net(name: str | None, patch: int) -> Any:
-    """Return the net that is shown first: a preset's, or that of a patch of a file."""
+    """Return what is shown first: the name of a figure, or the net of a patch of a file."""
     from ..io import load
-    from ..studio.state import PRESETS
+    from ..studio.presets import NETS, drawings
 
     if name is None:
-        return next(iter(PRESETS.values()))()
-    if name in PRESETS:
-        return PRESETS[name]()
+        return next(iter(NETS))
+    if name in NETS or name in drawings():
+        return name
     if not Path(name).exists():
-        raise BezierError.expected(
-            "FILE|NAME", "a file, or one of " + ", ".join(PRESETS), repr(printable(name))
-        )
+        known = ", ".join((*NETS, *drawings()))
+        raise BezierError.expected("FILE|NAME", f"a file, or one of {known}", repr(printable(name)))
     patches = load(name)
     if not 0 <= patch < len(patches):
         raise BezierError.expected("--patch", f"0 to {len(patches) - 1}", patch)

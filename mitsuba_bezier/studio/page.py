@@ -1,7 +1,9 @@
-"""The page of the studio, on viser: handles, sliders, buttons; one worker does all rendering."""
+"""The page of the studio, on viser: points to drag, sliders, buttons; one worker renders."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import socket
 import threading
 import time
@@ -11,20 +13,35 @@ from typing import Any
 import numpy as np
 
 from ..errors import BezierError, GeometryError, RuntimeSetupError
-from ..geometry import bernstein
 from ..geometry.camera import Camera
-from ..geometry.triangles import BezierTriangles
+from ..geometry.curves import BezierCurve
 from ..io import save
-from .picture import MODES, Painter
-from .state import PRESETS, State, slider_of, weight_of
+from .canvas import Canvas
+from .figure import Drawn
+from .picture import FINEST, MODES, Painter
+from .presets import NETS, Preset, drawings
+from .state import State, slider_of, weight_of
+from .views import camera_of, first_view
 
 __all__ = ["Studio", "checked_port"]
 
 #: Pixels across of pictures: of the first after a change, and of those when nothing moves.
 FIRST, STILL = 512, 1024
 
-#: Seconds without a change after which the picture is refined, and paths a pixel of a refined one.
-REST, PATHS = 0.35, 32
+#: Field of view of browsers, in radians: narrower than viser's own, which bends a net.
+FOV = float(np.radians(40))
+
+#: Seconds without a change after which the picture is refined.
+REST = 0.3
+
+#: Highest degree that can be reached: nets above are too dense to be dragged.
+HIGHEST = 12
+
+#: A net that is none of the lecture's figures: from a file, or from Python.
+OWN = "your own net"
+
+#: What the page says where there is nothing else to say.
+HELP = "Drag a point, or the ground to turn. Shift and drag moves the view."
 
 
 def checked_port(host: str, port: int) -> int:
@@ -48,21 +65,25 @@ def checked_port(host: str, port: int) -> int:
     return port
 
 
-def camera_of(view: Any, width: int) -> Camera:
-    """Return our camera of a browser's: a rotation that looks along +z with +y down."""
-    a, x, y, z = (float(v) for v in view.wxyz)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - a * z), 2 * (x * z + a * y)],
-            [2 * (x * y + a * z), 1 - 2 * (x * x + z * z), 2 * (y * z - a * x)],
-            [2 * (x * z - a * y), 2 * (y * z + a * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    to_world = np.eye(4)
-    to_world[:3, :3] = rotation * [-1.0, -1.0, 1.0]  # Mitsuba's x is to the left, its y up
-    to_world[:3, 3] = view.position
-    size = (width, max(round(width / float(view.aspect)), 16))
-    return Camera(to_world, float(np.degrees(view.fov)), "y", size)
+def _served(host: str, port: int) -> Any:
+    """Return viser's server at an address, and no other."""
+    try:
+        import viser
+    except ImportError as error:
+        raise RuntimeSetupError.expected(
+            "studio", "viser, which serves its page",
+            f"none ({error}): pip install 'mitsuba-bezier[studio]'",
+        ) from None  # fmt: skip
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints a box
+        server = viser.ViserServer(host, checked_port(host, port), "Bézier", verbose=False)
+        if server.get_port() != port:  # taken since it was checked: viser has gone on to the next
+            server.stop()
+            raise GeometryError.expected(
+                "--host, --port", "an address that is free", f"{host}:{port}"
+            )
+    # sharing would put the page on the internet
+    server.gui.configure_theme(show_share_button=False, show_logo=False, brand_color=(33, 77, 133))
+    return server
 
 
 class Studio:
@@ -70,8 +91,8 @@ class Studio:
 
     Parameters
     ----------
-    net : (K, 4) array_like
-        What is shown first.
+    net : (K, 4) array_like, or str
+        What is shown first: a net of a triangle, or the name of a figure.
     host, port
         Where the page is.
     folder : path
@@ -82,30 +103,34 @@ class Studio:
     RuntimeSetupError
         Without the extra ``studio``.
     GeometryError
-        If the address is taken.
+        If the address is taken, or there is no such figure.
     """
 
     def __init__(self, net: Any, host: str, port: int, folder: Path) -> None:
-        try:
-            import viser
-        except ImportError as error:
-            raise RuntimeSetupError.expected(
-                "studio", "viser, which serves its page", f"none ({error}): "
-                "pip install 'mitsuba-bezier[studio]'",
-            ) from None  # fmt: skip
-        self.state, self.folder = State(net), folder
-        self.painter = Painter(self.state.patches)
-        self.server = viser.ViserServer(host, checked_port(host, port), "Bézier", verbose=False)
-        self.server.scene.set_up_direction("+z")
-        self.selected = 0
+        self.folder = folder
+        self.figure = net if isinstance(net, str) else OWN
+        self._own = None if isinstance(net, str) else np.array(net, dtype=np.float64)
+        self.drawn: Drawn | None = None
+        self.look = Preset(lambda: np.zeros(0), HELP)
+        if self.figure in NETS:
+            self.look = NETS[self.figure]
+            net = self.look()
+        elif self.figure in drawings():
+            self.drawn, net = Drawn(self.figure), next(iter(NETS.values()))()
+        elif isinstance(net, str):
+            known = ", ".join((*NETS, *drawings()))
+            raise GeometryError.expected("name", "one of " + known, repr(net))
+        self.state = State(net, self.look.curve)
+        self.server = _served(host, port)
+        self.painter = Painter(None if self.state.curve else self.state.patches)
+        self.canvas = Canvas(self.server.scene)
+        self.selected = min(self.look.row, len(self.state.net) - 1)
         self._lock, self._brush = threading.RLock(), threading.Lock()
         self._changed_at = time.monotonic()
         self._wake, self._stop = threading.Event(), threading.Event()
         self._shown: dict[int, tuple[Any, ...]] = {}
         self._views: dict[int, Any] = {}
-        self._legs: Any = None
-        self._points: list[Any] = []
-        self._gizmo: Any = None
+        self._message = ""
         #: Seconds that first pictures took, the last hundred; for whoever measures.
         self.latencies: list[float] = []
         self._controls()
@@ -119,135 +144,232 @@ class Studio:
 
     def _controls(self) -> None:
         gui = self.server.gui
-        self.preset = gui.add_dropdown("net", tuple(PRESETS))
-        self.mode = gui.add_dropdown("picture", MODES, initial_value="light")
-        self.point: Any = gui.add_slider("point", 0, len(self.state.net) - 1, 1, 0)
+        names = (*([OWN] if self._own is not None else []), *NETS, *drawings())
+        self.preset = gui.add_dropdown("figure", names, initial_value=self.figure)
+        self.said = gui.add_markdown("")
+        self.mode = gui.add_dropdown("picture", MODES, hint="light is path traced when it rests")
+        self.point: Any = gui.add_slider("point", 0, max(len(self.state.net) - 1, 1), 1, 0)
         self.weight: Any = gui.add_slider(
             "weight", -2.0, 4.0, 0.01, 1.0, marks=((-2, "-2"), (0, "0"), (1, "1"), (4, "∞"))
         )
+        self.places = [gui.add_slider(name, 0.0, 1.0, 0.01, start)
+                       for name, start in (("t", 0.4), ("u", 0.3), ("v", 0.3))]  # fmt: skip
+        self._arguments: list[Any] = []
+        self._order = gui.add_folder("numbers", visible=False)
         self.told = gui.add_markdown("")
-        up, back = gui.add_button("raise the degree"), gui.add_button("undo")
-        files = [gui.add_button(f"save {name}") for name in (".vtu", ".png", ".svg")]
-        self.preset.on_update(lambda _e: self._guarded(self._load))
+        self.names = gui.add_checkbox("names", True, hint="indices of the control points")
+        self.arrows = gui.add_checkbox("arrows", False, hint="to move along one axis")
+        self.degree = gui.add_button_group("degree", ("lower", "raise"))
+        self.undo = gui.add_button("undo")
+        self.files = gui.add_button_group("save", (".vtu", ".png", ".svg"))
+        self.preset.on_update(lambda e: self._guarded(self._load) if e.client else None)
         self.mode.on_update(lambda _e: self._touch())
-        self.point.on_update(lambda _e: self._guarded(self._select))
+        self.point.on_update(lambda e: self._guarded(self._select) if e.client else None)
         self.weight.on_update(lambda e: self._guarded(self._weigh) if e.client else None)
-        up.on_click(lambda _e: self._guarded(self._raise))
-        back.on_click(lambda _e: self._guarded(self._undo))
-        for button, suffix in zip(files, (".vtu", ".png", ".svg")):
-            button.on_click(self._saver(suffix))
-
-    def _saver(self, suffix: str) -> Any:
-        return lambda event: self._guarded(lambda: self.save(suffix, event.client))
-
-    def _chooser(self, row: int) -> Any:
-        return lambda _event: self._guarded(lambda: self._choose(row))
+        for handle in (*self.places, self.names, self.arrows):
+            handle.on_update(lambda e: self._guarded(self._redraw) if e.client else None)
+        self.degree.on_click(lambda e: self._guarded(
+            self._raise if e.target.value == "raise" else self._lower))  # fmt: skip
+        self.undo.on_click(lambda _e: self._guarded(self._undo))
+        self.files.on_click(
+            lambda e: self._guarded(lambda: self.save(str(e.target.value), e.client))
+        )
 
     def _guarded(self, action: Any) -> None:
         """Do what a browser asks for; what cannot be done is told on the page, nothing is lost."""
         with self._lock:
+            self._message = ""
             try:
                 action()
             except BezierError as error:
-                self.told.content = f"*{error}*"
-            else:
-                self._touch()
+                self._message = f"*{error}*"
+            self._tell()
+            self._touch()
 
     def _touch(self) -> None:
         self._changed_at = time.monotonic()
         self._wake.set()
 
     def _load(self) -> None:
-        self.state.load(PRESETS[self.preset.value]())
-        self.selected = 0
+        name = str(self.preset.value)
+        if name in drawings():
+            self.drawn, self.figure = Drawn(name), name
+        else:
+            look = Preset(lambda: np.zeros(0), HELP) if name == OWN else NETS[name]
+            net = self._own if name == OWN else look()
+            self.state.load(net, look.curve)
+            self.drawn, self.figure, self.look = None, name, look
+            self.selected = look.row
         self._rebuild()
+        for client in list(self._views.values()):
+            self._frame(client)
 
     def _raise(self) -> None:
-        if self.state.degree >= 12:
-            raise GeometryError.expected("degree", "at most 12", self.state.degree + 1)
+        if self.state.degree >= HIGHEST:
+            raise GeometryError.expected("degree", f"at most {HIGHEST}", self.state.degree + 1)
         self.state.elevate()
+        self._rebuild()
+
+    def _lower(self) -> None:
+        off = self.state.lower()
+        if off > 1e-9:  # of the net's size; rounding of an elevation and back is 1e-15
+            self._message = "*No net of this degree has the same shape: this is a near one.*"
         self._rebuild()
 
     def _undo(self) -> None:
         if not self.state.undo():
-            self.told.content = "*nothing to undo*"
+            self._message = "*nothing to undo*"
         self._rebuild()
 
     def _select(self) -> None:
         self.selected = int(min(self.point.value, len(self.state.net) - 1))
-        self._place_gizmo()
+        self._redraw()
 
     def _weigh(self) -> None:
         self.state.weigh(self.selected, weight_of(self.weight.value))
-        self._tell()
+        self._redraw()
 
-    # ------------------------------------------------------------------ the net in front
+    # ------------------------------------------------------------------ what stands in front
 
     def _rebuild(self) -> None:
-        scene = self.server.scene
-        for handle in self._points:
+        """Show another net: its points, and the controls that it has."""
+        drawn, last = self.drawn is not None, len(self.state.net) - 1
+        self.selected = min(self.selected, last)
+        self.point.max = max(last, 1)
+        scheme = not drawn and "scheme" in self.look.shows
+        for handle, shown in zip(self.places, (self.state.curve, *[not self.state.curve] * 2)):
+            handle.visible = scheme and shown
+        for handle in (self.mode, self.point, self.weight, self.names, self.arrows, self.degree,
+                       self.undo):  # fmt: skip
+            handle.visible = not drawn
+        self.mode.visible = not drawn and not self.state.curve
+        for handle in self._arguments:
             handle.remove()
-        size = 0.022 * float(np.ptp(self.state.places, axis=0).max() or 1.0)
-        self._points = []
-        for row, place in enumerate(self.state.places):
-            ball = scene.add_icosphere(f"/net/{row}", size, (205, 70, 30), position=place)
-            ball.on_click(self._chooser(row))
-            self._points.append(ball)
-        self.selected = min(self.selected, len(self.state.net) - 1)
-        self.point.max = len(self.state.net) - 1
-        self._draw_legs()
-        self._place_gizmo()
-
-    def _choose(self, row: int) -> None:
-        self.point.value = row  # which selects it
-        self.selected = row
-        self._place_gizmo()
-
-    def _draw_legs(self) -> None:
-        n, x = self.state.degree, self.state.places
-        pairs = set()
-        for i, j, _k in bernstein.multi_indices(n - 1).tolist():
-            rows = (bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1), bernstein.row(n, i, j))
-            pairs |= {(min(a, b), max(a, b)) for a, b in zip(rows, rows[1:] + rows[:1])}
-        lines = np.array([[x[a], x[b]] for a, b in sorted(pairs)], dtype=np.float32)
-        self._legs = self.server.scene.add_line_segments(
-            "/net/legs", lines, (60, 60, 66), thickness=2.0, thickness_units="screen"
+        self._arguments = []
+        self._order.visible = drawn and bool(self.drawn and self.drawn.arguments)
+        if self.drawn is not None:
+            with self._order:
+                for a in self.drawn.arguments:
+                    slider = self.server.gui.add_slider(a.name, a.low, a.high, a.step, a.start)
+                    slider.on_update(self._argument(a.name, slider))
+                    self._arguments.append(slider)
+        self.canvas.points(
+            [] if drawn else list(self.state.places), self._chooser, self._dragger, self._size()
         )
-
-    def _place_gizmo(self) -> None:
-        scale = 0.25 * float(np.ptp(self.state.places, axis=0).max() or 1.0)
-        self._gizmo = self.server.scene.add_transform_controls(
-            "/gizmo", scale, disable_rotations=True, depth_test=False,
-            position=self.state.places[self.selected],
-        )  # fmt: skip
-        self._gizmo.on_update(lambda event: self._guarded(lambda: self._drag(event)))
-        self.weight.value = slider_of(float(self.state.net[self.selected, 3]))
+        self._redraw()
         self._tell()
 
-    def _drag(self, event: Any) -> None:
-        if event.phase == "start":  # a step to go back to
-            self.state.move(self.selected, self.state.places[self.selected])
-        self.drag(self.selected, np.array(self._gizmo.position, dtype=np.float64))
+    def _argument(self, name: str, slider: Any) -> Any:
+        def move(event: Any) -> None:
+            if event.client and self.drawn is not None:
+                drawn = self.drawn
+                self._guarded(lambda: drawn.move(name, slider.value))
+
+        return move
+
+    def _size(self) -> float:
+        return float(np.ptp(self.state.places, axis=0).max() or 1.0)
+
+    def _redraw(self) -> None:
+        """Draw what stands before the picture."""
+        if self.drawn is not None:
+            self.canvas.clear()
+            return
+        from .front import front_of
+
+        t, u, v = (float(handle.value) for handle in self.places)
+        if u + v > 0.98:
+            u, v = u / (u + v) * 0.98, v / (u + v) * 0.98
+        t = min(max(t, 1e-3), 1 - 1e-3)
+        self.front = front_of(self.state, self.look.shows, t, (u, v))
+        self.canvas.show(self.front, self._size())
+        labels = [f"b{self.state.name(k)}" for k in range(len(self.state.net))]
+        self.canvas.place(list(self.state.places), self.selected,
+                          labels if self.names.value else [])  # fmt: skip
+        self.canvas.gizmo(
+            self.state.places[self.selected] if self.arrows.value else None,
+            0.3 * self._size(),
+            self._pulled,
+        )
+        if self.point.value != self.selected:
+            self.point.value = self.selected
+        slider = slider_of(float(self.state.net[self.selected, 3]))
+        if self.weight.value != slider and weight_of(self.weight.value) != self.state.net[
+            self.selected, 3
+        ]:  # fmt: skip
+            self.weight.value = slider
+
+    def _chooser(self, row: int) -> Any:
+        def choose(_event: Any) -> None:
+            def act() -> None:
+                self.selected = row
+                self._redraw()
+
+            self._guarded(act)
+
+        return choose
+
+    def _dragger(self, row: int) -> Any:
+        """Return what a drag of a point calls; one after the other, as its phases come."""
+        offset = np.zeros(3)
+
+        async def drag(event: Any) -> None:
+            def act() -> None:
+                nonlocal offset
+                if event.phase == "start":
+                    self.selected = row
+                    offset = self.state.places[row] - event.start_position
+                    self.state.move(row, self.state.places[row])  # a step to go back to
+                place = np.asarray(event.end_position, dtype=np.float64) + offset
+                if self.look.flat and self.drawn is None:
+                    place = _on_wall(place, event.client.camera.position)
+                self.drag(row, place)
+
+            if row < len(self.state.net):  # another browser may have loaded a smaller net
+                self._guarded(act)
+
+        return drag
+
+    def _pulled(self, event: Any) -> None:
+        def act() -> None:
+            if event.phase == "start":
+                self.state.move(self.selected, self.state.places[self.selected])
+            place = np.array(event.target.position, dtype=np.float64)
+            if self.look.flat:
+                place[1] = 0.0
+            self.drag(self.selected, place)
+
+        self._guarded(act)
 
     def drag(self, row: int, place: Any) -> None:
         """Move a control point as a drag does: the picture follows, the history has one step."""
         self.state.move(row, place, remember=False)
-        self._points[row].position = self.state.places[row]
-        self._draw_legs()
+        self._redraw()
 
     def _tell(self) -> None:
-        i, j, k = bernstein.multi_indices(self.state.degree)[self.selected].tolist()
+        if self.drawn is not None:
+            self.said.content = self.drawn.says
+            self.told.content = self._message
+            return
+        self.said.content = self.look.says
         w = self.state.net[self.selected, 3]
         shown = "∞" if w >= 1e6 else f"{w:.3g}"
-        self.told.content = f"degree {self.state.degree}, point {i}{j}{k}, weight {shown}"
+        kind = "control vector" if self.state.is_vector(self.selected) else f"weight {shown}"
+        lines = [f"**degree {self.state.degree}, b{self.state.name(self.selected)}: {kind}**"]
+        lines += [x for x in (self.front.says, self._message) if x]
+        self.told.content = "\n\n".join(lines)
 
     # ------------------------------------------------------------------ pictures
 
+    def _frame(self, client: Any) -> None:
+        """Look at the net from where it is seen well."""
+        with contextlib.suppress(AssertionError):  # a browser that has told no camera yet
+            client.camera.fov = FOV
+            eye, at = first_view(self.state.places, self.look.view, self.look.flat, client.camera)
+            client.camera.position, client.camera.look_at = tuple(eye), tuple(at)
+
     def _connected(self, client: Any) -> None:
-        middle = self.state.places.mean(axis=0)
-        size = float(np.ptp(self.state.places, axis=0).max() or 1.0)
-        client.camera.position = tuple(middle + size * np.array([0.75, -1.35, 0.75]))
-        client.camera.look_at = tuple(middle)
+        self._frame(client)
         self._views[client.client_id] = client
         client.camera.on_update(lambda _c: self._touch())
         self._touch()
@@ -257,40 +379,77 @@ class Studio:
         self._shown.pop(client.client_id, None)
 
     def _work(self) -> None:
-        """Render for one browser after the other, quickly, then finely; no other thread does."""
+        """Render for one browser after the other, at once, then finer and finer; alone."""
         while not self._stop.is_set():
-            self._wake.wait(timeout=REST)
-            self._wake.clear()
-            still = time.monotonic() - self._changed_at > REST
+            more = False
             for client in list(self._views.values()):
                 try:
-                    self._paint(client, still)
+                    more |= self._paint(client)
                 except BezierError as error:
-                    self.told.content = f"*{error}*"
-                except (RuntimeError, AssertionError, OSError):
-                    continue  # a browser that has gone away, or that has told no camera yet
+                    with self._lock:
+                        self._message = f"*{error}*"
+                        self._tell()
+                except Exception:
+                    # a browser that has gone away meanwhile, or has told no camera yet; whatever
+                    # it is, the pictures of the others go on
+                    continue
+            if not more:
+                self._wake.wait(timeout=REST)
+            self._wake.clear()
 
-    def _paint(self, client: Any, still: bool) -> None:
+    def _paint(self, client: Any) -> bool:
+        """Send a browser the next picture, and return whether there is more to be done."""
         view = client.camera
         with self._lock:
-            patches, version = self.state.patches, self.state.version
-        mode = self.mode.value
-        key = (version, tuple(view.wxyz), tuple(view.position), view.fov, view.aspect, mode, still)
-        shown = self._shown.get(client.client_id)
-        if shown == key or (shown is not None and shown[:-1] == key[:-1] and not still):
-            return
-        begin = time.perf_counter()
-        quick = "normals" if mode == "light" else mode
-        camera = camera_of(view, STILL if still else FIRST)
+            shape, version = self.state.shape, self.state.version
+            drawn, mode = self.drawn, str(self.mode.value)
+        what = (version, mode) if drawn is None else (drawn.key, "drawn")
+        key = (*what, tuple(view.wxyz), tuple(view.position), view.fov, view.aspect)
+        seen, passes = self._shown.get(client.client_id, ((), 0))
+        if seen != key:
+            begin = time.perf_counter()
+            image = self._first(view, shape, drawn, mode)
+            self._send(client, image, (key, 0), 80)
+            self.latencies = [*self.latencies[-99:], time.perf_counter() - begin]
+            return True
+        finest = 1 if drawn is not None or isinstance(shape, BezierCurve) else FINEST[mode]
+        if passes >= finest:
+            return False
+        if time.monotonic() - self._changed_at < REST:
+            return len(self._views) > 1  # others may still have to be served
+        if drawn is not None:
+            self._send(client, drawn.picture(STILL, view.aspect), (key, 1), 92)
+            return False
         with self._brush:
-            self.painter.show(patches)
-            image = self.painter.paint(camera, mode if still else quick, PATHS)
+            self.painter.show(None if isinstance(shape, BezierCurve) else shape)
+            done = self.painter.refine(camera_of(view, STILL), mode)
+            # 1, 4, 16, 64: what is better by half is sent
+            finer = self.painter.refined() if done in (1, 4, 16, finest) else None
+        if finer is not None:
+            self._send(client, finer, (key, done), 90)
+        else:
+            self._shown[client.client_id] = key, max(done, passes)
+        return done < finest
+
+    def _first(self, view: Any, shape: Any, drawn: Drawn | None, mode: str) -> np.ndarray:
+        if drawn is not None:
+            return drawn.picture(FIRST, view.aspect)
+        with self._brush:
+            self.painter.show(None if isinstance(shape, BezierCurve) else shape)
+            return self.painter.paint(camera_of(view, FIRST), mode)
+
+    def _send(self, client: Any, image: np.ndarray, shown: tuple[Any, ...], quality: int) -> None:
         if client.client_id not in self._views:
             return  # it has gone away meanwhile
-        client.scene.set_background_image(image, "jpeg", jpeg_quality=90 if still else 75)
-        self._shown[client.client_id] = key
-        if not still:
-            self.latencies = [*self.latencies[-99:], time.perf_counter() - begin]
+        client.scene.set_background_image(image, "jpeg", jpeg_quality=quality)
+        self._shown[client.client_id] = shown
+
+    def refined(self, passes: int = 1) -> bool:
+        """Return whether all browsers see the net as it is now, with so many samples a pixel."""
+        with self._lock:
+            what = self.state.version if self.drawn is None else self.drawn.key
+            shown = [self._shown.get(c) for c in list(self._views)]
+        return all(s is not None and s[0][0] == what and s[1] >= passes for s in shown)
 
     # ------------------------------------------------------------------ files
 
@@ -302,33 +461,45 @@ class Studio:
         BezierError
             If it cannot be written, or there is no browser to see it.
         """
-        path = self.folder / f"studio{suffix}"
+        path = self.folder / f"{'studio' if self.drawn is None else self.drawn.name}{suffix}"
         if suffix == ".vtu":
+            if self.drawn is not None or self.state.curve:
+                raise GeometryError.expected("save .vtu", "a net of a surface", self.figure)
             save(self.state.patches, path)
+        elif self.drawn is not None:
+            with self._brush:
+                self.drawn.save(path)
         else:
             client = client or next(iter(self._views.values()), None)
             if client is None:
                 raise GeometryError.expected("view", "a browser that looks at the page", "none")
-            from .. import figures
-
-            camera = camera_of(client.camera, 1600)
-            drawing = figures.space(camera)
-            patches: BezierTriangles = self.state.patches
-            if suffix == ".png":
-                with self._brush:
-                    self.painter.show(patches)
-                    with_light = self.painter.paint(camera, "light", PATHS)
-                drawing = figures.overlay(with_light, camera)
-            drawing.boundary(patches)
-            drawing.isolines(patches, 3)
-            drawing.net(patches)
-            drawing.save(path)
-        self.told.content = f"saved {path.name}"
+            self._save_view(path, camera_of(client.camera, 1600))
+        self._message = f"saved {path.name}"
         return path
+
+    def _save_view(self, path: Path, camera: Camera) -> None:
+        from .figure import view_drawing
+
+        image = None
+        with self._brush:
+            if path.suffix == ".png" and not self.state.curve:
+                self.painter.show(self.state.patches)
+                image = self.painter.paint(camera, str(self.mode.value), 32)
+            view_drawing(self.state, self.front, camera, image).save(path)
 
     def stop(self) -> None:
         """Close the page."""
         self._stop.set()
         self._wake.set()
         self._worker.join(timeout=10)
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints that it has stopped
+            self.server.stop()
+
+
+def _on_wall(place: np.ndarray, eye: Any) -> np.ndarray:
+    """Return the point of the plane y = 0 that is seen where a place is."""
+    e = np.asarray(eye, dtype=np.float64)
+    way = place - e
+    if way[1] * e[1] >= 0:  # the plane is seen from its edge, or lies behind
+        return place * [1.0, 0.0, 1.0]
+    return e + way * (-e[1] / way[1])

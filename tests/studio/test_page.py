@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import sys
 import time
+from io import BytesIO
 
 import mitsuba as mi
 import numpy as np
@@ -15,9 +15,11 @@ from mitsuba_bezier.cli.main import main
 from mitsuba_bezier.errors import GeometryError, RuntimeSetupError
 from mitsuba_bezier.geometry.camera import Camera, look_at
 from mitsuba_bezier.geometry.triangles import BezierTriangles
-from mitsuba_bezier.studio.page import Studio, camera_of, checked_port
+from mitsuba_bezier.studio.page import Studio, checked_port
 from mitsuba_bezier.studio.picture import Painter
-from mitsuba_bezier.studio.state import PRESETS, State
+from mitsuba_bezier.studio.presets import NETS, PRESETS, drawings
+from mitsuba_bezier.studio.state import State
+from mitsuba_bezier.studio.views import camera_of
 
 
 @pytest.fixture
@@ -39,7 +41,7 @@ CAMERA = Camera(look_at([2.0, -3.6, 2.0], [0, 0, 0.5], [0, 0, 1]), 45, "y", (128
 
 
 def test_the_picture_shows_the_surface_and_follows_the_net(variant):
-    state = State(PRESETS["rational quadratic"]())
+    state = State(PRESETS["rational_triangle"]())
     painter = Painter(state.patches)
     before = painter.paint(CAMERA)
     assert before.shape == (96, 128, 3)
@@ -98,15 +100,15 @@ def test_a_port_that_is_taken_is_one_clear_error():
 def test_without_viser_there_is_one_clear_error(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(RuntimeSetupError, match="mitsuba-bezier\\[studio\\]"):
-        Studio(PRESETS["rational quadratic"](), "127.0.0.1", free_port(), tmp_path)
+        Studio(PRESETS["rational_triangle"](), "127.0.0.1", free_port(), tmp_path)
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["no such file"], "FILE|NAME: expected a file, or one of rational quadratic"),
-        (["cubic hill", "--folder", "no/such/folder"], "--folder: expected a folder"),
-        (["cubic hill", "-m", "scalar_rgb"], "--mode: expected a variant with a JIT"),
+        (["no such file"], "FILE|NAME: expected a file, or one of rational_triangle"),
+        (["triangle_net", "--folder", "no/such/folder"], "--folder: expected a folder"),
+        (["triangle_net", "-m", "scalar_rgb"], "--mode: expected a variant with a JIT"),
     ],
 )
 def test_mistakes_take_one_line(words, says, capsys):
@@ -125,71 +127,187 @@ def waited(condition, seconds: float = 60.0) -> bool:
     return False
 
 
-@pytest.mark.browser
-def test_in_a_browser(variant, tmp_path):
+def pictures(*shots: bytes) -> list[np.ndarray]:
+    from PIL import Image
+
+    return [np.array(Image.open(BytesIO(x)).convert("RGB")).astype(int) for x in shots]
+
+
+@pytest.fixture
+def browser():
+    """Headless Chromium, with WebGL by its processor."""
     pytest.importorskip("viser", reason="the studio needs the extra 'studio'")
     pytest.importorskip("matplotlib", reason="it saves figures")
     api = pytest.importorskip("playwright.sync_api", reason="it drives Chromium")
-    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    from browser import find
+
+    program = find()
     if program is None:
-        pytest.skip("no Chromium on the PATH")
-    studio = Studio(PRESETS["rational quadratic"](), "127.0.0.1", free_port(), tmp_path)
-    url = f"http://127.0.0.1:{studio.server.get_port()}"
+        pytest.skip("no Chromium: set $CHROMIUM or install one")
     flags = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
+    with api.sync_playwright() as play:
+        chromium = play.chromium.launch(executable_path=program, args=flags)
+        yield chromium
+        chromium.close()
+
+
+def opened(browser, studio, width: int, height: int):
+    """Return a page that shows a refined picture, without the note about WebGL."""
+    page = browser.new_page(viewport={"width": width, "height": height})
+    page.goto(f"http://127.0.0.1:{studio.server.get_port()}", timeout=60000)
+    # the view is set by the server, and told back by the browser
+    assert waited(lambda: studio._views and studio.refined(1))
+    note = page.locator(".mantine-Notification-closeButton")
+    if note.count():
+        note.first.click()
+    page.wait_for_timeout(500)
+    return page
+
+
+def seen_at(studio, place, width: int, height: int) -> np.ndarray:
+    """Return the pixel of the window where a place is seen."""
+    view = next(iter(studio._views.values())).camera
+    own = camera_of(view, 1000)
+    exact = Camera(own.to_world, float(np.degrees(view.fov)), "y", (width, height))
+    return exact.pixels(np.asarray(place, dtype=np.float64))
+
+
+def changed_within(before, after, points, free: int) -> tuple[int, int]:
+    """Count pixels that have changed in the box around points, `free` pixels wider, and outside."""
+    changed = np.abs(before - after).max(axis=2) > 12  # more than JPEG and noise do
+    low, high = points.min(axis=0) - free, points.max(axis=0) + free
+    y, x = np.mgrid[: changed.shape[0], : changed.shape[1]]
+    box = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+    return int((changed & box).sum()), int((changed & ~box).sum())
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("size", [(1280, 800), (420, 800)])
+def test_a_point_is_dragged_with_the_mouse(variant, tmp_path, browser, size):
+    studio = Studio("rational_triangle", "127.0.0.1", free_port(), tmp_path)
     try:
-        with api.sync_playwright() as play:
-            browser = play.chromium.launch(executable_path=program, args=flags)
-            page = browser.new_page(viewport={"width": 900, "height": 600})
-            page.goto(url, timeout=60000)
-            assert waited(lambda: any(key[-1] for key in studio._shown.values()))  # refined
-            time.sleep(1)
-            before = page.screenshot()
-            # a drag: the picture changes where the net is, not in the corner
-            with studio._lock:
-                studio.drag(4, studio.state.places[4] + [0, 0, 0.6])
-                studio._touch()
-            version = studio.state.version
-            assert waited(
-                lambda: any(key[0] == version and key[-1] for key in studio._shown.values())
-            )
-            time.sleep(1)
-            from io import BytesIO
-
-            from PIL import Image
-
-            pictures = [np.array(Image.open(BytesIO(x))) for x in (before, page.screenshot())]
-            changed = (pictures[0] != pictures[1]).any(axis=2)
-            assert changed[100:500, 150:580].sum() > 200 and not changed[-80:, 200:500].any()
-            # the weight through zero, by the slider's box as a user types it
-            box = page.locator("input.mantine-NumberInput-input").last
-            for text in ("0.5", "0", "-0.5"):
-                box.fill(text)
-                box.press("Enter")
-            row = studio.selected
-            assert waited(lambda: abs(studio.state.net[row, 3] + 0.5) < 1e-9)
-            # saved by the buttons
-            for suffix in (".vtu", ".svg"):
-                page.get_by_text(f"save {suffix}").click()
-                path = tmp_path / f"studio{suffix}"
-                assert waited(path.exists)
-            import mitsuba_bezier as mb
-
-            kept = mb.load(tmp_path / "studio.vtu")
-            assert isinstance(kept, BezierTriangles)
-            np.testing.assert_allclose(kept.control_points[0], studio.state.net, atol=1e-9)
-            # a second tab sees the same; one that goes away in the middle of a drag breaks nothing
-            second = browser.new_page()
-            second.goto(url, timeout=60000)
-            assert waited(lambda: len(studio._shown) == 2)
-            second.close()
-            with studio._lock:
-                studio.drag(4, studio.state.places[4] - [0, 0, 0.3])
-                studio._touch()
-            version = studio.state.version
-            assert waited(
-                lambda: any(key[0] == version and key[-1] for key in studio._shown.values())
-            )
-            browser.close()
+        page = opened(browser, studio, *size)
+        row = 1  # none that is selected, with no other before it
+        before = page.screenshot()
+        places = studio.state.places.copy()
+        start = seen_at(studio, places[row], *size)
+        end = start + np.array([-60, -30])
+        page.mouse.move(*start)
+        page.mouse.down()
+        page.mouse.move(*(start + np.array([-10, -5])))
+        page.mouse.move(*end, steps=6)
+        # a drag goes on: the picture follows before the button is let go
+        assert waited(lambda: np.abs(studio.state.places[row] - places[row]).max() > 0.05)
+        page.mouse.up()
+        page.mouse.move(start[0], 20)
+        # where the button was let go, by the ball's own size and the throttle of its last step
+        assert waited(
+            lambda: np.abs(seen_at(studio, studio.state.places[row], *size) - end).max() < 3
+        )
+        np.testing.assert_array_equal(np.delete(studio.state.places, row, 0),
+                                      np.delete(places, row, 0))  # fmt: skip
+        assert studio.selected == row
+        assert waited(lambda: studio.refined(4))
+        page.wait_for_timeout(700)
+        old, new = pictures(before, page.screenshot())
+        around = np.concatenate(
+            [[seen_at(studio, x, *size) for x in p] for p in (places, studio.state.places)]
+        )
+        # the controls tell which point it is
+        panel = page.get_by_text("figure", exact=True).bounding_box()
+        if size[0] > 600:
+            old, new = (x[:, : int(panel["x"]) - 20] for x in (old, new))
+        else:
+            old, new = (x[: int(panel["y"]) - 60] for x in (old, new))
+        # balls and names reach 60 pixels beyond the points
+        inside, outside = changed_within(old, new, around, 60)
+        assert inside > 1500 and outside == 0
+        # one step back is the whole drag
+        page.get_by_text("undo", exact=True).click()
+        assert waited(lambda: np.array_equal(studio.state.places, places))
     finally:
         studio.stop()
     assert not studio._worker.is_alive()
+
+
+@pytest.mark.browser
+def test_weights_files_and_a_second_tab(variant, tmp_path, browser):
+    import mitsuba_bezier as mb
+
+    studio = Studio("rational_triangle", "127.0.0.1", free_port(), tmp_path)
+    try:
+        page = opened(browser, studio, 800, 500)
+        # the weight from 1 through zero to negative, by dragging the slider's thumb
+        thumb = page.locator(".mantine-Slider-thumb").nth(1)
+        row = studio.selected
+        seen = [studio.state.net[row, 3]]
+        box = thumb.bounding_box()
+        at = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+        page.mouse.move(*at)
+        page.mouse.down()
+        for step in range(1, 13):
+            page.mouse.move(at[0] - 3 * step, at[1])
+            page.wait_for_timeout(60)
+            seen.append(float(studio.state.net[row, 3]))
+        page.mouse.up()
+        assert waited(lambda: studio.state.net[row, 3] < -0.3)
+        assert (np.diff([*seen, studio.state.net[row, 3]]) <= 0).all() and min(seen) < 0 < max(seen)
+        # to zero itself and to infinity by the box as a user types it
+        box = page.locator("input.mantine-NumberInput-input").nth(1)
+        for text, value in (("0", 0.0), ("4", 1e6), ("-0.5", -0.5)):
+            box.fill(text)
+            box.press("Enter")
+            assert waited(lambda: abs(studio.state.net[row, 3] - value) < 1e-9)  # noqa: B023
+        assert waited(lambda: studio.refined(1))
+        # saved by the buttons
+        for suffix in (".vtu", ".png", ".svg"):
+            page.get_by_text(suffix, exact=True).click()
+            assert waited((tmp_path / f"studio{suffix}").exists)
+            assert waited(lambda: page.get_by_text(f"saved studio{suffix}").count())  # noqa: B023
+        kept = mb.load(tmp_path / "studio.vtu")
+        assert isinstance(kept, BezierTriangles)
+        np.testing.assert_allclose(kept.control_points[0], studio.state.net, atol=1e-9)
+        # a second tab sees the same
+        second = browser.new_page(viewport={"width": 500, "height": 400})
+        second.goto(f"http://127.0.0.1:{studio.server.get_port()}", timeout=60000)
+        assert waited(lambda: len(studio._views) == 2 and studio.refined(1))
+        assert second.get_by_text("b011: weight -0.5").count() == 1
+        page.get_by_text("raise", exact=True).click()
+        assert waited(lambda: studio.state.degree == 3)
+        assert waited(lambda: second.get_by_text("degree 3").count() == 1)
+        # one that goes away in the middle of a drag breaks nothing
+        place = studio.state.places[0].copy()
+        at = seen_at(studio, place, 800, 500)
+        page.bring_to_front()
+        page.mouse.move(*at)
+        page.mouse.down()
+        page.mouse.move(*(at + np.array([20, 10])), steps=4)
+        assert waited(lambda: np.abs(studio.state.places[0] - place).max() > 0.02)
+        page.close()
+        assert waited(lambda: len(studio._views) == 1)
+        assert waited(lambda: studio.refined(1))  # the other sees where the drag was left
+        second.get_by_text("undo", exact=True).click()
+        assert waited(lambda: np.allclose(studio.state.places[0], place, atol=1e-12))
+    finally:
+        studio.stop()
+
+
+@pytest.mark.browser
+def test_every_figure_can_be_picked(variant, tmp_path, browser):
+    from mitsuba_bezier.figures.catalogue import CATALOGUE
+
+    assert set(CATALOGUE) <= {*NETS, *drawings()}
+    studio = Studio(PRESETS["triangle_net"](), "127.0.0.1", free_port(), tmp_path)
+    try:
+        page = opened(browser, studio, 800, 500)
+        errors = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        for name in ("sphere_point", "farin", "desargues", "decasteljau"):
+            page.locator("input[aria-haspopup='listbox']:visible").first.click()
+            page.get_by_role("option", name=name, exact=True).click()
+            assert waited(lambda: studio.figure == name and studio.refined(1))  # noqa: B023
+            assert studio._message == "" and not errors
+        page.get_by_text(".vtu", exact=True).click()
+        assert waited(lambda: "a net of a surface" in studio._message)
+    finally:
+        studio.stop()

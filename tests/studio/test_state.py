@@ -19,7 +19,7 @@ def test_presets_are_nets(name):
 
 
 def test_moving_keeps_the_weight_and_undo_goes_back():
-    state = State(PRESETS["on the sphere"]())
+    state = State(PRESETS["sphere_point"]())
     before = state.net.copy()
     state.move(1, [0.3, -1.2, 0.4])
     assert state.net[1, 3] == before[1, 3]
@@ -30,7 +30,7 @@ def test_moving_keeps_the_weight_and_undo_goes_back():
 
 
 def test_a_drag_is_one_step():
-    state = State(PRESETS["rational quadratic"]())
+    state = State(PRESETS["rational_triangle"]())
     before = state.net.copy()
     state.move(4, state.places[4])  # where it begins
     for k in range(30):
@@ -39,7 +39,7 @@ def test_a_drag_is_one_step():
 
 
 def test_weights_run_through_zero_and_to_infinity():
-    state = State(PRESETS["rational quadratic"]())
+    state = State(PRESETS["rational_triangle"]())
     place = state.places[4].copy()
     for weight in (1.0, 0.4, 0.0, -0.3, 0.0, 2.5, 1e6):
         state.weigh(4, weight)
@@ -64,7 +64,7 @@ def test_the_slider_is_the_weight_up_to_two_and_ends_at_infinity():
 
 
 def test_elevation_is_the_same_surface():
-    state = State(PRESETS["rational quadratic"]())
+    state = State(PRESETS["rational_triangle"]())
     x = state.patches.points(0, UV)
     state.elevate()
     assert state.degree == 3
@@ -89,7 +89,7 @@ def test_control_vectors_stay_vectors():
     ],
 )
 def test_what_is_wrong_changes_nothing(call):
-    state = State(PRESETS["rational quadratic"]())
+    state = State(PRESETS["rational_triangle"]())
     before = state.net.copy()
     with pytest.raises(BezierError):
         call(state)
