@@ -1,20 +1,25 @@
 """What 10 000 parts cost besides rendering: dask's scheduler, messages, merging, the checkpoint.
 
-    python benchmarks/many_parts.py [--parts 10000] [--width 1920] [--height 1080]
+    python benchmarks/many_parts.py [--parts 10000] [--large 200] [--width 1920] [--height 1080]
 
-The loop of `rendering.farm` runs with as many parts, which workers (threads of this process) answer
-at once with small sums: its processor time, the scheduler's included, is what a part costs that
-takes no time to render. Sums of a film of the size given are made of noise: their bytes are those
-of a message, and adding them up, encoding them and encoding the picture is timed. Last, so many
-small files are merged by the command. `docs/many-machines.md` has the figures.
+A scheduler and workers of dask, each a process, and the loop of `rendering.farm` here: as many
+parts whose sums are there already, once of small pictures, and `--large` parts of a film of the
+size given. Told are the processor time of each part for the scheduler, for this process, which
+merges, and for the workers, and the most memory that scheduler and this process took. For the film
+of that size also the bytes of a message, and the time of adding, of encoding sums and picture, are
+timed alone. Last, so many small files are merged by the command. `docs/many-machines.md` has the
+figures.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import os
 import sys
 import tempfile
 import time
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +29,7 @@ from mitsuba_bezier.rendering.farm import Farm
 from mitsuba_bezier.rendering.parts import Rendered, render_part
 from mitsuba_bezier.rendering.passes import Pass
 from mitsuba_bezier.rendering.picture import Picture, encode_sums
-from mitsuba_bezier.rendering.plan import Plan
+from mitsuba_bezier.rendering.plan import Plan, pass_seed
 from mitsuba_bezier.verification.images import encode_exr
 
 SMALL = (6, 8)
@@ -37,33 +42,67 @@ def noise(size: tuple[int, int], spp: int, seed: int) -> Pass:
     return Pass(channels, np.full(size, spp, np.float32), spp, seed)
 
 
-def work(plan: Plan, indices: tuple[int, ...]) -> Rendered:
-    """Render a part of nothing; it tells that each pass takes long, so that parts stay small."""
-    import dataclasses
-
-    rendered = render_part(plan, indices, 0, {}, lambda spp, seed: noise(SMALL, spp, seed))
-    return dataclasses.replace(rendered, seconds=1e3 * len(indices))
+@cache
+def one_pass(size: tuple[int, int]) -> Rendered:
+    """Return the sums of a pass of noise."""
+    return render_part(Plan(1, 1, 1), (0,), 0, {}, lambda spp, seed: noise(size, spp, seed))
 
 
-def scheduler(parts: int) -> None:
-    """Tell the cost of a part that takes no time."""
-    import dask
+def work(size: tuple[int, int], indices: tuple[int, ...]) -> Rendered:
+    """Give sums that are there; it tells that each pass takes long, so that parts stay small."""
+    seeds = tuple(pass_seed(0, index) for index in indices)
+    return dataclasses.replace(
+        one_pass(size), indices=tuple(indices), seeds=seeds, spp=len(indices), seconds=1e9, cost=0.0
+    )
+
+
+def used(process: int) -> tuple[float, float]:
+    """Return processor time and the most memory, in seconds and MB, of a process."""
+    stat = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    status = Path(f"/proc/{process}/status").read_text()
+    most = next(line for line in status.splitlines() if line.startswith("VmHWM"))
+    return (int(stat[11]) + int(stat[12])) / os.sysconf("SC_CLK_TCK"), int(most.split()[1]) / 1e3
+
+
+def scheduler(parts: int, size: tuple[int, int], workers: int, direct: bool) -> None:
+    """Tell the cost of parts that take no time, by processes of their own."""
+    import many_parts  # workers know this module by its name
     from distributed import Client
+    from distributed.deploy.subprocess import SubprocessCluster
 
+    where = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    os.environ["PYTHONPATH"] = where
     plan = Plan(parts, 1, 1)
     picture = Picture(plan)
     with (
-        dask.config.set({"distributed.admin.tick.limit": "60s"}),
-        Client(n_workers=8, threads_per_worker=1, processes=False, dashboard_address=None) as found,
+        SubprocessCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=None,
+            worker_kwargs={"memory_limit": 0},
+            silence_logs=50,
+        ) as cluster,
+        Client(cluster) as client,
     ):
-        farm = Farm(found, work, plan, picture, 0, {}, SMALL, print)
-        started, wall = time.process_time(), time.perf_counter()
+        client.wait_for_workers(workers)
+        processes = list(client.run(os.getpid).values())
+        boss = client.run_on_scheduler(os.getpid)
+        farm = Farm(client, many_parts.work, size, picture, 0, {}, size, print, direct)
+        began = [used(process)[0] for process in (boss, *processes)]
+        started, wall, before = time.process_time(), time.perf_counter(), used(os.getpid())[1]
         farm.run(range(parts), lambda _: False, lambda: None)
-    seconds, wall = time.process_time() - started, time.perf_counter() - wall
+        seconds, wall = time.process_time() - started, time.perf_counter() - wall
+        found = [used(process) for process in (boss, *processes)]
     assert picture.complete
+    spent = [after[0] - first for first, after in zip(began, found)]
+    mine = used(os.getpid())[1]
     print(
-        f"{parts} parts that take no time: {seconds:.1f} s of processor time in all, "
-        f"{1e3 * seconds / parts:.2f} ms a part ({wall:.1f} s by the clock)"
+        f"{parts} parts of {size[1]} x {size[0]}, {workers} workers: processor time of the "
+        f"scheduler {1e3 * spent[0] / parts:.2f} ms a part, {spent[0]:.1f} s in all, of this "
+        f"process {1e3 * seconds / parts:.2f} ms, {seconds:.1f} s, of the workers "
+        f"{1e3 * sum(spent[1:]) / parts:.2f} ms; by the clock {wall:.1f} s; the most memory: "
+        f"scheduler {found[0][1]:.0f} MB, this process {mine:.0f} MB, {before:.0f} before",
+        flush=True,
     )
 
 
@@ -118,12 +157,19 @@ def run() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--parts", type=int, default=10_000)
+    parser.add_argument("--large", type=int, default=200, help="parts of the film of that size")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--indirect", action="store_true", help="sums through the scheduler")
     parser.add_argument("--width", type=int, default=1920)
     parser.add_argument("--height", type=int, default=1080)
     args = parser.parse_args()
-    messages(args.parts, (args.height, args.width))
-    merge(args.parts)
-    scheduler(args.parts)
+    size = args.height, args.width
+    if args.parts:
+        messages(args.parts, size)
+        merge(args.parts)
+        scheduler(args.parts, SMALL, args.workers, not args.indirect)
+    if args.large:
+        scheduler(args.large, size, args.workers, not args.indirect)
 
 
 if __name__ == "__main__":

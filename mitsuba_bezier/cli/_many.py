@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import socket
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from urllib.parse import urlsplit
 
 from .._files import temporary_folder
 from ..errors import BezierError, RuntimeSetupError
@@ -16,10 +18,12 @@ from ..rendering.bundle import make_bundle
 from ..rendering.picture import machine
 from . import _model, _worker
 
-__all__ = ["check_dask", "connected", "job_of", "prepare"]
+__all__ = ["check_dask", "connected", "job_of", "prepare", "reachable"]
 
 #: Seconds that a scheduler has to answer, and its first worker to come.
 ANSWER, FIRST_WORKER = 10, 120
+#: Seconds that a worker has to answer where it can be reached.
+REACH = 2
 #: A worker that says nothing for so long is given up; those of a cluster of ours only.
 SILENCE = "60 s"
 
@@ -104,6 +108,19 @@ def _awaited(client: Any, count: int) -> Any:
     except TimeoutError:
         raise BezierError.expected("--scheduler", "a worker within two minutes", "none") from None
     return client
+
+
+def reachable(client: Any) -> bool:
+    """Tell whether this process can talk to all workers, which clouds and firewalls may forbid."""
+    for address in client.scheduler_info(n_workers=-1)["workers"]:
+        place = urlsplit(address)
+        if place.scheme not in ("tcp", "tls") or place.port is None:
+            return False
+        try:
+            socket.create_connection((place.hostname, place.port), timeout=REACH).close()
+        except OSError:
+            return False
+    return True
 
 
 def job_of(shot: Any) -> tuple[_worker.Job, Any]:

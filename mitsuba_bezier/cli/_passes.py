@@ -41,6 +41,8 @@ __all__ = ["Shot", "render"]
 NO_END = 10_000_000
 #: Seconds between two lines of progress where there is no terminal.
 LOG_EVERY = 60.0
+#: Of the time of this process, the most for looking how noisy what workers have rendered is.
+JUDGING = 0.1
 #: What tells that two pictures are of one render, whatever their seeds.
 SAME = ("scene", "sensor", "integrator", "rfilter", "variant", "part")
 
@@ -358,6 +360,7 @@ def _render_by_many(
             job.identity,
             (shot.size[1], shot.size[0]),
             note,
+            _many.reachable(client),
         )
 
         def progress() -> None:
@@ -365,12 +368,21 @@ def _render_by_many(
             report()
             keeper.offer(picture, last=len(picture.done) == len(shot.indices))
 
+        judged, cost = 0.0, 0.0
+
         def stop(index: int) -> bool:
+            nonlocal judged, cost
             workers = max(1, len(farm.shares))
             if farm.seconds_a_pass:
                 # by all of them together
                 goal.measured(shot.plan[index], farm.seconds_a_pass / workers)
-            return goal.reached(picture, shot.plan[index])
+            now = time.perf_counter()
+            if goal.noise is not None and now - judged < cost / JUDGING:
+                return False  # parts come one after the other, and a large film takes a while
+            ended = goal.reached(picture, shot.plan[index])
+            judged = time.perf_counter()
+            cost = judged - now
+            return ended
 
         if picture.done and shot.indices and goal.reached(picture, shot.plan[last]):
             return
@@ -481,13 +493,14 @@ def _progress(
     had = picture.total.spp
     noise: float | None = None
     end = float(shot.asked)
+    looks_anyway = goal.noise is not None and not (shot.args.workers or shot.args.scheduler)
 
     def report() -> None:
         nonlocal looked, logged, noise, end
         if quiet:
             return
         now = time.perf_counter()
-        if now - looked > 1 or goal.noise is not None:
+        if now - looked > 1 or looks_anyway:
             looked, noise = now, picture.total.noise()
             looked += 10 * (time.perf_counter() - now)  # a large film takes a while
         end = min(float(shot.asked), goal.expected_spp(picture, noise))

@@ -12,13 +12,14 @@ import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import BezierError
-from .parts import Rendered, check, part_size
+from .parts import COST, Rendered, check, part_size
 from .picture import Picture
 
 __all__ = ["Farm"]
@@ -31,6 +32,10 @@ ATTEMPTS = 5
 TRUST = 2
 #: Parts that are out, for each worker: one that is rendered, and one that waits there.
 AHEAD = 2
+#: The most of its time that this process may take for merging: parts get larger.
+BUSY = 0.5
+#: Results that are fetched or merged at a time: more would fill the memory.
+FETCHED = 4
 #: Seconds between two looks at who does what.
 LOOK = 1.0
 
@@ -43,6 +48,7 @@ class _Part:
     begun: dict[str, float] = field(default_factory=dict)  #: by the keys of its futures
     failed: int = 0
     doubled: float = 0.0  #: when it was last sent to a second worker
+    ready: set[str] = field(default_factory=set)  #: keys of futures that wait to be fetched
 
 
 class Farm:
@@ -66,6 +72,9 @@ class Farm:
         Height and width.
     note : callable
         Tells the user something.
+    direct : bool
+        Whether sums come from the workers; else they come through the scheduler, which is twice
+        the way, but is there where workers cannot be reached.
     """
 
     def __init__(
@@ -78,15 +87,18 @@ class Farm:
         identity: dict[str, Any],
         size: tuple[int, int],
         note: Callable[[str], None],
+        direct: bool = False,
     ) -> None:
         self._client, self._function, self._job = client, function, job
         self.picture, self._seed, self._identity, self._size = picture, seed, identity, size
-        self._note = note
+        self._note, self._direct = note, direct
         self._out: dict[Any, _Part] = {}
-        self._arrived: queue.Queue[tuple[Any, Any]] = queue.Queue()
+        self._arrived: queue.Queue[tuple[Any, Any, bool]] = queue.Queue()
+        self._slots = threading.BoundedSemaphore(FETCHED)
+        self._known: tuple[float, list[str]] = 0.0, []
         self._doubts: Counter[str] = Counter()
         self._silent: set[str] = set()
-        self._seconds = self._cost = 0.0
+        self._seconds = self._cost = self._merging = 0.0
         self._measured = self._parts = 0
         self._looked = 0.0
         #: Passes that each worker has rendered.
@@ -97,10 +109,15 @@ class Farm:
         """Mean time that a worker takes for a pass, once one is measured."""
         return self._seconds / self._measured if self._measured else None
 
-    @property
-    def seconds_a_part(self) -> float | None:
-        """Mean time that a worker takes for a part besides its passes, once one is measured."""
-        return self._cost / self._parts if self._parts else None
+    def cost(self, workers: int) -> float | None:
+        """Return what a part costs besides its passes, once that is measured, in seconds.
+
+        That is what its sums take at the worker, or its share of the time that this process
+        merges: with many workers that is what they wait for.
+        """
+        if not self._parts:
+            return None
+        return max(self._cost, workers * self._merging * COST / BUSY) / self._parts
 
     def run(
         self, indices: Iterable[int], stop: Callable[[int], bool], progress: Callable[[], None]
@@ -127,16 +144,22 @@ class Farm:
             while self._out or (at < len(waiting) and not ended):
                 workers = self._trusted()
                 while at < len(waiting) and not ended and self._open() < AHEAD * len(workers):
-                    count = part_size(
-                        self.seconds_a_pass, len(waiting) - at, len(workers), self.seconds_a_part
-                    )
+                    number = len(workers)
+                    left = len(waiting) - at
+                    count = part_size(self.seconds_a_pass, left, number, self.cost(number))
                     chosen = self._whole(waiting[at : at + count])
                     self._send(_Part(tuple(chosen)), workers)
                     at += len(chosen)
                 if not self._out:
                     raise BezierError.expected("workers", "one that can be trusted", "none")
-                for future, answer in self._answers():
-                    if future in self._out and self._take(future, answer, workers):
+                for future, answer, slot in self._answers():
+                    began = time.perf_counter()
+                    taken = future in self._out and self._take(future, answer, workers)
+                    del answer
+                    if slot:
+                        self._slots.release()
+                    self._merging += time.perf_counter() - began
+                    if taken:
                         progress()
                         if not ended and at < len(waiting) and stop(waiting[at]):
                             ended = True
@@ -145,15 +168,12 @@ class Farm:
         finally:
             self._cancel()
 
-    def _answers(self) -> list[tuple[Any, Any]]:
-        """Return what has come, with the futures; wait for the first for a while."""
-        try:
-            found = [self._arrived.get(timeout=LOOK)]
-        except queue.Empty:
-            return []
-        while not self._arrived.empty():
-            found.append(self._arrived.get())
-        return found
+    def _answers(self) -> Iterator[tuple[Any, Any, bool]]:
+        """Give what has come, with the futures; wait for the first for a while."""
+        with suppress(queue.Empty):
+            yield self._arrived.get(timeout=LOOK)
+            while True:
+                yield self._arrived.get_nowait()
 
     def _whole(self, indices: list[int]) -> list[int]:
         """Let a pass that is cut short be a part of its own."""
@@ -167,7 +187,10 @@ class Farm:
 
     def _trusted(self) -> list[str]:
         """Return the addresses of the workers that may have parts."""
-        every = list(self._client.scheduler_info(n_workers=-1)["workers"])
+        looked, every = self._known
+        if time.perf_counter() - looked > LOOK or not every:
+            every = list(self._client.scheduler_info(n_workers=-1)["workers"])
+            self._known = time.perf_counter(), every
         good = [address for address in every if self._doubts[address] < TRUST]
         # who does not answer gets no more until it does, unless there is nobody else
         return [address for address in good if address not in self._silent] or good
@@ -190,16 +213,25 @@ class Farm:
         self._out[future] = part
         part.begun.setdefault(future.key, 0.0)
         # a thread for each, since a result may lie with a worker that does not give it away
-        threading.Thread(target=self._fetch, args=(future,), daemon=True).start()
+        threading.Thread(target=self._fetch, args=(future, part), daemon=True).start()
 
-    def _fetch(self, future: Any) -> None:
-        """Wait for what comes, however long that takes."""
+    def _fetch(self, future: Any, part: _Part) -> None:
+        """Wait for what comes, however long that takes; take it when there is room."""
+        from distributed import wait
+
         answer: Any
+        slot = False
         try:
-            answer = future.result()
+            wait(future)
+            part.ready.add(future.key)
+            # those of workers that hang must not keep the others out
+            slot = self._slots.acquire(timeout=LATE_SECONDS)
+            part.begun[future.key] = time.perf_counter()
+            part.ready.discard(future.key)
+            answer = self._client.gather(future, direct=self._direct)
         except (Exception, CancelledError) as error:  # of dask: a worker died too often
             answer = "a worker", error
-        self._arrived.put((future, answer))
+        self._arrived.put((future, answer, slot))
 
     def _take(self, future: Any, answer: Any, workers: Sequence[str]) -> bool:
         """Take what came; send it out again if it cannot be used; tell whether it can."""
@@ -263,7 +295,7 @@ class Farm:
         places |= {key: next(iter(addresses)) for key, addresses in held if addresses}
         for future, part in list(self._out.items()):
             address = places.get(future.key)
-            if address is None:
+            if address is None or future.key in part.ready:
                 continue
             begun = part.begun[future.key] = part.begun[future.key] or now
             # what waits at a worker waits for one part before it

@@ -113,6 +113,7 @@ class Accumulator:
         self._known: set[int] = set()
         self._square: _ExactSum | None = None
         self._squares = squares
+        self._noise: tuple[int, float | None] = 0, None  # of so many passes
         self.seeds: list[int] = []
         self._sums: dict[str, _ExactSum] = {}
         self._weight: _ExactSum | None = None
@@ -281,13 +282,18 @@ class Accumulator:
         """
         if self._square is None or self._weight is None or self.passes < 2:
             return None
-        weight = self._weight.value()
+        if self._noise[0] != self.passes:  # it is asked for again and again
+            self._noise = self.passes, self._noise_now(self._square, self._weight)
+        return self._noise[1]
+
+    def _noise_now(self, squares: _ExactSum, weights: _ExactSum) -> float | None:
+        weight = weights.value()
         there = weight != 0
         weight = np.where(there, weight, 1.0)
         light = _luminance({name: total.value() for name, total in self._sums.items()})
         with np.errstate(invalid="ignore", over="ignore"):
             mean = light / weight
-            square = np.maximum(self._square.value() / weight - mean**2, 0.0) / (self.passes - 1)
+            square = np.maximum(squares.value() / weight - mean**2, 0.0) / (self.passes - 1)
             mean = np.abs(mean)
             usable = there & np.isfinite(square) & np.isfinite(mean)
         if not usable.any():

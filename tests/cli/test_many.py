@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -93,6 +94,24 @@ def test_a_scheduler_that_is_not_there(folder, monkeypatch, capsys):
     err = capsys.readouterr().err.splitlines()[-1]
     assert "--scheduler: expected the address of a dask scheduler that answers" in err
     assert not os.path.exists("ball.exr")
+
+
+def test_whether_workers_can_be_reached():
+    from mitsuba_bezier.cli import _many
+
+    class Client:
+        def __init__(self, *addresses):
+            self.addresses = addresses
+
+        def scheduler_info(self, n_workers):
+            assert n_workers == -1
+            return {"workers": dict.fromkeys(self.addresses)}
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        here = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        assert _many.reachable(Client(here, here))
+        assert not _many.reachable(Client(here, "tcp://127.0.0.1:9"))
+        assert not _many.reachable(Client("inproc://10.0.0.1/2/3"))
 
 
 def test_two_workers_give_the_bits_of_one(folder, capsys):

@@ -152,6 +152,45 @@ def test_one_bad_worker_does_no_harm(client, monkeypatch, role):
         assert sum("failed at" in note for note in notes) <= 4
 
 
+@pytest.mark.parametrize("direct", [False, True])
+def test_results_do_not_fill_the_memory(client, monkeypatch, direct):
+    from mitsuba_bezier.rendering import farm as module
+
+    monkeypatch.setattr(module, "FETCHED", 2)
+    found = farm(client, {}, monkeypatch)
+    monkeypatch.setattr(module, "LATE_SECONDS", 60.0)
+    found._direct = direct
+    there, most = 0, 0
+    real, take = client.gather, found._take
+
+    def gathered(*arguments, **more):
+        nonlocal there, most
+        there += 1
+        most = max(most, there)
+        return real(*arguments, **more)
+
+    def slowly(*arguments):
+        nonlocal there
+        time.sleep(0.02)
+        there -= 1
+        return take(*arguments)
+
+    monkeypatch.setattr(client, "gather", gathered)
+    monkeypatch.setattr(found, "_take", slowly)
+    found.run(range(len(PLAN)), lambda _: False, lambda: None)
+    same(found.picture, alone())
+    assert 0 < most <= 2
+
+
+def test_parts_grow_where_merging_is_what_all_wait_for(client, monkeypatch):
+    found = farm(client, {}, monkeypatch)
+    assert found.cost(3) is None
+    found._parts, found._cost, found._merging = 10, 1.0, 2.0
+    # 0.1 s at the worker; or 0.2 s here, so that of a hundred each comes every 40 s
+    assert found.cost(1) == pytest.approx(0.1) and found.cost(100) == pytest.approx(4.0)
+    assert part_size(1.0, 100_000, 100, found.cost(100)) == 40
+
+
 def test_what_is_there_is_not_rendered_again(client, monkeypatch):
     found = farm(client, {}, monkeypatch)
     for index in (0, 5, 19):
