@@ -21,7 +21,7 @@ TARGET = Path(__file__).with_name("architecture.svg")
 ROWS = (
     ("regression",),
     ("cli",),
-    ("models", "studio"),
+    ("models", "studio", "fit"),
     ("rendering",),
     ("plugins",),
     ("kernels", "io", "verification"),

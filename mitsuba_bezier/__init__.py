@@ -90,6 +90,7 @@ __all__ = [
     "ellipsoid",
     "elliptic_paraboloid",
     "figures",
+    "fit",
     "fit_quadric",
     "fit_quadrics",
     "half_plane",
@@ -183,8 +184,8 @@ Model.draw = staticmethod(_draw)
 
 
 def __getattr__(name: str) -> Any:
-    if name == "figures":
-        return import_module(".figures", __name__)
+    if name in ("figures", "fit"):
+        return import_module(f".{name}", __name__)
     if name in _WHEN_ASKED:
         return getattr(import_module(f".{_WHEN_ASKED[name]}", __name__), name)
     if name in _WITH_MITSUBA:

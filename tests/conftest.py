@@ -23,6 +23,7 @@ TIERS = {
     "geometry": "unit",
     "oracles": "unit",
     "leaves": "unit",
+    "fit": "render",
     "models": "unit",
     "optics": "unit",
     "io": "files",

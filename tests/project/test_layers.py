@@ -33,6 +33,7 @@ LAYERS = {
     "verification": 20,
     "plugins": 30,
     "models": 35,
+    "fit": 35,
     "rendering": 33,
     "studio": 45,
     "__init__": 40,

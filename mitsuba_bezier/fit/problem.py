@@ -1,0 +1,206 @@
+"""`Problem`: the loss of a vector of unknowns, and its gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .._runtime import import_mitsuba
+from ..errors import BezierError
+from .optimizers import Smoother
+from .parametrization import Parametrization, spread, tensor
+
+__all__ = ["LOSSES", "Problem"]
+
+
+def _squares(image: Any, target: Any) -> Any:
+    import drjit as dr
+
+    return dr.mean(dr.square(image - target), axis=None)
+
+
+def _absolute(image: Any, target: Any) -> Any:
+    import drjit as dr
+
+    return dr.mean(dr.abs(image - target), axis=None)
+
+
+LOSSES: dict[str, Callable[[Any, Any], Any]] = {"l2": _squares, "l1": _absolute}
+
+
+class Problem:
+    """A scene, what is unknown in it, and what is wanted.
+
+    The parameters of the scene are leaves of the images' derivatives: the structure for rays is
+    built once for all images of a step. Their gradients go on to the unknowns afterwards.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    unknowns : dict of str to Parametrization
+        By the names of `mi.traverse`.
+    images : callable
+        ``images(params, seed)`` yields losses one by one; the derivatives of each are taken before
+        the next.
+    terms : sequence of (float, str, callable)
+        Weight, name of a parameter, and a function of its value that gives a number.
+    smoothing : float
+        Strength of the preconditioner for unknowns that have a Laplacian.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        unknowns: Mapping[str, Parametrization],
+        images: Callable[[Any, int], Any],
+        terms: Sequence[tuple[float, str, Callable[[Any], Any]]],
+        smoothing: float,
+    ) -> None:
+        self.params = import_mitsuba().traverse(scene)
+        if not unknowns:
+            raise BezierError.expected("unknowns", "at least one parameter", "none")
+        for key, item in unknowns.items():
+            if key not in self.params:
+                near = ", ".join(
+                    k for k in dict(self.params.items()) if k.split(".")[-1] == key.split(".")[-1]
+                )
+                raise BezierError.expected(
+                    "unknowns", f"names of mi.traverse(scene){f' ({near})' if near else ''}", key
+                )
+            if not isinstance(item, Parametrization):
+                raise BezierError.expected(
+                    f"unknowns[{key!r}]",
+                    "a Parametrization (Net, Sphere, Values, ...)",
+                    type(item).__name__,
+                )
+        for _weight, key, _function in terms:
+            if key not in unknowns:
+                raise BezierError.expected("terms", f"one of {', '.join(unknowns)}", key)
+        self.images, self.terms, self.smoothing = images, terms, smoothing
+        self.take(unknowns)
+
+    def take(self, unknowns: Mapping[str, Parametrization]) -> None:
+        """Take parametrizations, at the beginning and after refinement."""
+        self.unknowns = dict(unknowns)
+        self.places: list[tuple[str, str, slice, tuple[int, ...], float]] = []
+        self.blocks: list[tuple[slice, Smoother | None, tuple[int, ...]]] = []
+        begin = 0
+        parts = []
+        for key, item in self.unknowns.items():
+            scales = item.scales()
+            for name, array in item.start().items():
+                end = begin + array.size
+                scale = scales.get(name, 1.0)
+                place = slice(begin, end)
+                self.places.append((key, name, place, array.shape, scale))
+                laplacian = item.laplacian(name) if self.smoothing > 0 else None
+                smoother = None if laplacian is None else Smoother(laplacian, self.smoothing)
+                self.blocks.append((place, smoother, array.shape))
+                parts.append(array.ravel() / scale)
+                begin = end
+        self.start = np.concatenate(parts)
+
+    def arrays(self, x: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+        """Return the unknown arrays of a vector, by parameter and name."""
+        out: dict[str, dict[str, np.ndarray]] = {key: {} for key in self.unknowns}
+        for key, name, place, shape, scale in self.places:
+            out[key][name] = (x[place] * scale).reshape(shape)
+        return out
+
+    def vector(self, arrays: Mapping[str, Mapping[str, np.ndarray]]) -> np.ndarray:
+        """Return the vector of given unknown arrays; where none are given, that of the start."""
+        x = self.start.copy()
+        for key, name, place, _shape, scale in self.places:
+            if key in arrays:
+                x[place] = arrays[key][name].ravel() / scale
+        return x
+
+    def set(self, x: np.ndarray, grad: bool = False) -> None:
+        """Give the scene the parameters of a vector.
+
+        Raises
+        ------
+        BezierError
+            If they are not valid; the scene keeps those it had.
+        """
+        import drjit as dr
+
+        for key, arrays in self.arrays(x).items():
+            value = self.unknowns[key].value({k: tensor(v) for k, v in arrays.items()})
+            kind = type(self.params[key])
+            value = value if isinstance(value, kind) else _as(kind, value)
+            if grad:
+                dr.enable_grad(value)
+            self.params[key] = value
+        self.params.update()
+
+    def evaluate(self, x: np.ndarray, seed: int) -> tuple[float, np.ndarray]:
+        """Return the loss of a vector, and its gradient.
+
+        Raises
+        ------
+        BezierError
+            If a parameter is not valid, or has no derivative at all.
+        """
+        import drjit as dr
+
+        self.set(x, grad=True)
+        total = 0.0
+        for loss in self.images(self.params, seed):
+            if dr.grad_enabled(loss):
+                dr.backward(loss)
+            total += float(np.ravel(np.array(loss))[0])
+        leaves = {key: dr.grad(self.params[key]) for key in self.unknowns}
+        gradient = np.zeros(len(x))
+        for key, arrays in self.arrays(x).items():
+            inputs = {name: tensor(values) for name, values in arrays.items()}
+            for one in inputs.values():
+                dr.enable_grad(one)
+            kind = type(self.params[key])
+            value = self.unknowns[key].value(inputs)
+            # the chain rule as one number: what the images say, and the terms
+            chained = _dot(value if isinstance(value, kind) else _as(kind, value), leaves[key])
+            for weight, name, function in self.terms:
+                if name == key:
+                    term = weight * function(value)
+                    term = term.array if dr.is_tensor_v(term) else term
+                    total += float(np.ravel(np.array(dr.detach(term)))[0])
+                    chained += term
+            # a parameter that nothing depends on is told by the search
+            dr.backward(chained, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+            for place_key, name, place, _shape, scale in self.places:
+                if place_key == key:
+                    g = np.array(dr.grad(inputs[name]), dtype=np.float64)
+                    gradient[place] = scale * g.ravel()
+        return total, gradient
+
+
+def _dot(value: Any, gradient: Any) -> Any:
+    """Return the sum of products of the numbers of a parameter and of its gradient."""
+    import drjit as dr
+
+    if hasattr(value, "inverse_transpose"):  # a transform holds its inverse as numbers of its own
+        names = ("matrix", "inverse_transpose")
+        pairs = [(getattr(value, name), getattr(gradient, name)) for name in names]
+        return sum(dr.sum(dr.sum(a[i] * b[i])) for a, b in pairs for i in range(4))
+    if dr.is_tensor_v(value):
+        value, gradient = value.array, gradient.array
+    while dr.depth_v(value) > 1:
+        value, gradient = dr.ravel(value), dr.ravel(gradient)
+    return dr.sum(value * gradient)
+
+
+def _as(kind: Any, value: Any) -> Any:
+    """Return a tensor as what a parameter of the scene is: a colour, a point, an array."""
+    import drjit as dr
+
+    size = dr.size_v(kind)
+    if size == dr.Dynamic:
+        return kind(value.array)
+    if int(np.prod(value.shape)) != size:
+        raise BezierError.expected(
+            "unknowns", f"{size} numbers for a {kind.__name__}", f"shape {value.shape}"
+        )
+    return kind(*(spread(value, entry, 1) for entry in range(size)))
