@@ -33,7 +33,7 @@ ROWS = (
 BASE = ("errors", "_runtime", "_llvm")
 
 #: Sizes in pixels: the whole, its margin, a folder's box, and the columns of the matrix.
-WIDTH, MARGIN, BOX, ROW, HEAD = 1200, 16, 58, 66, 112
+WIDTH, MARGIN, BOX, ROW, HEAD = 1360, 16, 58, 66, 112
 BOX_WIDTH, CELL = 640, 42
 COLOURS = {
     "regression": "#e8eef7",
