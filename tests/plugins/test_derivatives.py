@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from itertools import product
 from typing import Any
 
@@ -300,7 +299,8 @@ def test_without_bezier_shapes_it_is_prb(variant):
                 "type": "rectangle",
                 "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(9),
             },
-            "ball": {"type": "sphere", "bsdf": {"type": "roughconductor", "alpha": 0.3}},
+            # diffuse: prb forgets that the frame of a vertex turns under the light that it gets
+            "ball": {"type": "sphere"},
             "lamp": {
                 "type": "rectangle",
                 "to_world": mi.ScalarTransform4f().look_at([1, 4, 2], [0, 0, 0], [0, 0, 1]),
@@ -401,28 +401,3 @@ def test_polarized_variants_have_no_derivatives():
             integrator.render_backward(scene, None, mi.TensorXf(0.0, (1, 1, 1)), spp=1)
     finally:
         mi.set_variant(VARIANT)
-
-
-def test_mirrors_are_warned_of():
-    from mitsuba_bezier.plugins.integrators import path_replay
-
-    path_replay._warned.clear()
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "surface": bezier(BENT, bsdf={"type": "conductor", "material": "none"}),
-            "sky": {"type": "constant"},
-            "eye": {"type": "perspective", **film(4)},
-        }
-    )
-    params = mi.traverse(scene)
-    integrator = mi.load_dict({"type": "bezierpath", "max_depth": 2})
-    for expected in (1, 0):  # once
-        attach(params, BENT)
-        image = mi.render(scene, params, integrator=integrator, spp=1)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            dr.backward(dr.mean(image, axis=None))
-        found = [w for w in caught if w.category is path_replay.MissingDerivative]
-        assert len(found) == expected
-    path_replay._warned.clear()

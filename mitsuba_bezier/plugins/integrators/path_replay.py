@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from ...errors import BezierError
-from ..interaction import Preliminary
 from ..native.originals import original
 from ..offsets import spawn_ray
 from ..scene import SceneRays
+from .chains import Bend, Chains, Vertex, has_delta, what_moves
 from .emitters import EmitterSampling, LightSample
 from .path_tracing import mis_weight, russian_roulette, skip_emitters
 
-__all__ = ["MissingDerivative", "replay"]
+__all__ = ["replay"]
 
 
 def _area_per_solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
@@ -24,31 +23,6 @@ def _area_per_solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
     d = p - o
     square = dr.squared_norm(dr.select(active, d, 1.0))
     return dr.select(active, dr.abs_dot(n, d) / (square * dr.sqrt(square)), 1.0)
-
-
-class MissingDerivative(UserWarning):
-    """Derivatives leave out something that the scene has."""
-
-
-_warned: set[str] = set()
-
-
-def _warn_of_mirrors(scene: Any) -> None:
-    """Warn once that directions are sampled without derivatives, where it matters most."""
-    for shape in scene.shapes():
-        bsdf = shape.bsdf()
-        if bsdf is None or not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta):
-            continue
-        name = bsdf.class_name()
-        if name not in _warned:
-            _warned.add(name)
-            warnings.warn(
-                "bezierpath: derivatives of what is seen in ideal mirrors and through smooth glass "
-                f"are wrong where a surface there moves, as on {name} here: reflected and "
-                "refracted directions have none (docs/inverse.md)",
-                MissingDerivative,
-                stacklevel=2,
-            )
 
 
 def replay(
@@ -64,10 +38,11 @@ def replay(
     """Trace the paths of a primal pass again and differentiate each of their vertices.
 
     The estimator is that of Mitsuba's `prb` (Vicini, Speierer and Jakob, "Path replay
-    backpropagation", 2021): directions are sampled without derivatives. Motion of a vertex moves
-    it along the fixed ray that met it; towards the next vertex and towards a point sampled on an
-    emitter, which stay where they are, it changes direction and solid angle. What passes edges
-    and silhouettes has no part in it.
+    backpropagation", 2021): directions of rough surfaces are sampled without derivatives. Motion
+    of a vertex moves it along the fixed ray that met it; towards the next vertex and towards a
+    point sampled on an emitter, which stay where they are, it changes direction and solid angle.
+    Directions of ideal mirrors and glass follow their surface, and what the ray meets then moves
+    with it (`chains`). What passes edges and silhouettes has no part in it.
 
     Parameters
     ----------
@@ -91,7 +66,6 @@ def replay(
             "bezierpath", "a variant without polarization for derivatives", mi.variant()
         )
     rays = SceneRays(scene)
-    _warn_of_mirrors(scene)
     with rays.attach(mode):
         return _replay(integrator, rays, mode, sampler, ray, δL, state_in, active)
 
@@ -119,11 +93,12 @@ def _replay(
     if hide:
         ray = skip_emitters(rays, ray, active)
 
+    delta = has_delta(scene)
+    chains = Chains(rays, mode, bool(what_moves(scene)), delta, max_depth)
     state = {
         "ray": ray,
         "hit": rays.preliminary(ray, True, active),
-        "prev_ray": ray,
-        "prev_hit": Preliminary.miss(),
+        "chain": chains.initial(dr.width(ray)),
         "throughput": mi.Spectrum(1.0),
         "rest": mi.Spectrum(state_in),
         "derivative": mi.Spectrum(0.0 if δL is None else δL),
@@ -140,18 +115,10 @@ def _replay(
     def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         st = dict(st)
         ray, hit, sampler, active = st["ray"], st["hit"], st["sampler"], st["active"]
-        throughput, prev = st["throughput"], st["prev_si"]
+        throughput, prev, arrived = st["throughput"], st["prev_si"], st["prev_delta"]
         with dr.resume_grad():
-            si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
-            # the vertex before may move: then light leaves here into another direction
-            indirect = active & (st["depth"] > 0) & si.is_valid()
-            before = rays.surface_interaction(
-                st["prev_hit"], st["prev_ray"], mi.RayFlags.Minimal, indirect
-            )
-            here = dr.detach(si)
-            towards = dr.normalize(dr.select(indirect, before.p - here.p, mi.Vector3f(0, 0, 1)))
-            wi = dr.select(indirect, here.to_local(towards), si.wi)
-            si.wi = dr.replace_grad(si.wi, wi)
+            attached = chains.arrive(st["chain"], ray)
+            si, p_err = chains.meet(hit, ray, attached, arrived, active)
 
         # ---- emission met by the BSDF's sample
         emitter = si.emitter(scene, active)
@@ -159,7 +126,7 @@ def _replay(
         emits = active & (emitter != None)  # noqa: E711
         if hide:
             emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
-        pdf = emitters.pdf(prev, ds, dr.detach(si), hit, emits & ~st["prev_delta"])
+        pdf = emitters.pdf(prev, ds, dr.detach(si), hit, emits & ~arrived)
         weight = mis_weight(st["prev_pdf"], pdf)
         with dr.resume_grad():
             emitted = dr.select(emits, throughput * ds.emitter.eval(si, emits) * weight, 0.0)
@@ -180,14 +147,11 @@ def _replay(
             direct = dr.select(light.lit, throughput * value * weight * mis, 0.0)
 
         # ---- the next ray: by the numbers and in the form of the primal pass
+        sample1, sample2 = sampler.next_1d(active_next), sampler.next_2d(active_next)
         _value, _pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
-            context,
-            here,
-            here.to_local(ds.d),
-            sampler.next_1d(active_next),
-            sampler.next_2d(active_next),
-            active_next,
+            context, here, here.to_local(ds.d), sample1, sample2, active_next
         )
+        ideal = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         next_ray = spawn_ray(here, p_err, here.to_world(sample.wo))
         rest = st["rest"] - dr.detach(emitted) - dr.detach(direct)
         throughput = throughput * bsdf_weight
@@ -203,17 +167,24 @@ def _replay(
 
         # ---- derivatives
         next_hit = rays.preliminary(next_ray, False, active_next)
-        following = rays.surface_interaction(next_hit, next_ray, mi.RayFlags.Minimal, active_next)
+        following = rays.surface_interaction(
+            next_hit, next_ray, mi.RayFlags.Minimal | mi.RayFlags.DetachShape, active_next
+        )
         met = active_next & following.is_valid()
+        bend = Bend(active_next & ideal, sample1, sample2, met, following.p)
         with dr.resume_grad():
-            to = dr.normalize(dr.select(met, following.p - si.p, mi.Vector3f(0, 0, 1)))
-            direction = dr.replace_grad(next_ray.d, dr.select(met, to, next_ray.d))
-            value = bsdf.eval(context, si, si.to_local(direction), active_next)
-            solid = _area_per_solid_angle(si.p, following.p, following.n, met)
+            wo, value = mi.Vector3f(0, 0, 1), mi.Spectrum(0.0)
+            if delta:  # by the same numbers, which choose the same lobe
+                moved, weight = bsdf.sample(context, si, sample1, sample2, bend.delta)
+                wo, value = moved.wo, weight * moved.pdf
+            next_o, next_d = chains.leave(si, bend, wo, next_ray.d)
+            rough = active_next & ~ideal
+            value = dr.select(rough, bsdf.eval(context, si, si.to_local(next_d), rough), value)
+            solid = _area_per_solid_angle(si.p, following.p, following.n, met & rough)
             # `rest` is what arrives along the next ray, with the throughput up to here
             reflected = dr.select(active_next, rest * _relative(value) * _relative(solid), 0.0)
             total = emitted + direct + reflected
-            derivative = st["derivative"]
+            derivative, chain = st["derivative"], st["chain"]
             if not dr.grad_enabled(total) and not integrator.interior_may_be_constant:
                 raise BezierError.expected(
                     "bezierpath",
@@ -223,15 +194,17 @@ def _replay(
             if not dr.grad_enabled(total):
                 pass
             elif mode == dr.ADMode.Backward:
-                dr.backward_from(derivative * total)
+                vertex = Vertex(ray, attached, hit, arrived, bend)
+                weighted = derivative * total
+                chain = chains.step_backward(chain, weighted, vertex, active, active_next)
             else:
-                derivative = derivative + dr.forward_to(total)
+                change, chain = chains.step_forward(total, next_o, next_d)
+                derivative = derivative + change
         return (
             {
                 "ray": next_ray,
                 "hit": next_hit,
-                "prev_ray": ray,
-                "prev_hit": hit,
+                "chain": chain,
                 "throughput": throughput,
                 "rest": rest,
                 "derivative": dr.detach(derivative),
@@ -241,7 +214,7 @@ def _replay(
                 "active": active_next,
                 "prev_si": here,
                 "prev_pdf": sample.pdf,
-                "prev_delta": mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),
+                "prev_delta": ideal,
                 "sampler": sampler,
             },
         )
