@@ -23,7 +23,7 @@ from ._scene_xml import check_xml
 
 __all__ = ["REPLACED", "SEES_BEZIER", "Loaded", "check_name", "load"]
 
-SHAPE = "beziertriangle"
+SHAPES = ("beziertriangle", "asphere")
 
 #: Mitsuba's integrators that have an equal among ours, with the same parameters and defaults.
 REPLACED = {"path": "bezierpath", "volpath": "beziervolpath", "aov": "bezieraov"}
@@ -189,7 +189,7 @@ def _choose_integrator(mi: Any, state: Any) -> tuple[str, list[str]]:
     if not integrators:
         return SEES_BEZIER[0], [f"the scene names no integrator: rendering with {SEES_BEZIER[0]}"]
     notes: list[str] = []
-    has_bezier = any(node.props.plugin_name() == SHAPE for node in state.nodes)
+    has_bezier = any(node.props.plugin_name() in SHAPES for node in state.nodes)
     return _exchange(mi, state, integrators[0], has_bezier, notes), notes
 
 

@@ -24,7 +24,8 @@ __all__ = ["leaf_bounds", "leaf_count", "meet_leaf", "upload_bounds"]
 
 def leaf_count(s: Structure) -> int:
     """Return how many leaves there are to be met: those of one quadric are one."""
-    return s.graph_count + s.group_count
+    count = s.graph_count + s.group_count
+    return count if s.revolutions is None else count + s.revolutions.count
 
 
 def meet_leaf(

@@ -17,7 +17,6 @@ from ..leaves.records import (
     INVERTED_KINDS,
     LEAST_REACH,
     NO_APEX,
-    ClosedFormLeaves,
     GraphLeaves,
     LeafKind,
     Leaves,
@@ -37,6 +36,7 @@ from .quadric_records import (
     shared_section,
 )
 from .records import Record, bits
+from .revolution_records import Revolutions, upload_revolutions
 from .trim_table import TrimTable
 
 __all__ = ["AFFINE", "DOMAIN", "PROJECTIVE", "Structure", "build_structure", "leaf_boxes"]
@@ -107,6 +107,7 @@ class Structure:
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
+    revolutions: Revolutions | None = None  #: even aspheres, numbered after the groups
 
     def has(self, *kinds: LeafKind) -> bool:
         """Return whether there are leaves of one of these kinds."""
@@ -121,6 +122,16 @@ class Structure:
     def has_groups(self) -> bool:
         """Whether there is a leaf with a closed form."""
         return self.has(*CLOSED_FORMS)
+
+    @property
+    def has_revolutions(self) -> bool:
+        """Whether there is an even asphere."""
+        return self.revolutions is not None
+
+    @property
+    def has_only_graphs(self) -> bool:
+        """Whether there is nothing but graph leaves."""
+        return not (self.has_groups or self.has_revolutions)
 
     @property
     def has_certain_hits(self) -> bool:
@@ -164,8 +175,8 @@ def build_structure(
     graphs = np.concatenate([affine, projective])
     owner = None
     if objects is not None:
-        of_graphs, of_closed = objects[: len(graph)], objects[len(graph) :]
-        owner = np.concatenate([of_graphs[graphs], of_closed[members[group_first]]])
+        of_graphs, of_closed, of_rest = np.split(objects, np.cumsum([len(graph), len(closed)]))
+        owner = np.concatenate([of_graphs[graphs], of_closed[members[group_first]], of_rest])
     nodes = build_nodes(leaf_boxes(leaves), ty, owner, object_count)
     # polynomial patches have weight one on all leaves, up to rounding of float64
     rational = bool((np.abs(graph.net[affine, :, 3]) > 1e-12).any())
@@ -186,8 +197,13 @@ def build_structure(
         "axes": axes_records(closed.select(members[group_first])),
         "inverses": inverse_records(grouped),
         "polynomials": polynomial_records(grouped),
-        "domain": _domain(graph.select(graphs), grouped, _cells_of(trims, leaves, graphs, members)),
+        "domain": _domain(
+            Leaves(graph.select(graphs), grouped, leaves.revolution),
+            _cells_of(trims, leaves, graphs, members),
+        ),
     }
+    count = len(graphs) + len(group_first)
+    aspheres = upload_revolutions(leaves.revolution, ty, count, len(graphs) + len(members))
     single = ty.Float is ty.Float32  # as members are
     shared = shared_section(grouped, sides) if single else None
     only = None
@@ -218,8 +234,10 @@ def build_structure(
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values() if a is not None)
         + nodes.bytes
-        + (trims[0].bytes if trims else 0),
+        + (trims[0].bytes if trims else 0)
+        + (aspheres.bytes if aspheres else 0),
         trim=None if trims is None else trims[0],
+        revolutions=aspheres,
     )
 
 
@@ -227,12 +245,12 @@ def leaf_boxes(leaves: Leaves) -> np.ndarray:
     """Return the boxes ``(L, 2, 3)`` of leaves in the order of the structure, one for a group."""
     affine, projective, members, group_first, _size = _order(leaves)
     boxes = leaves.graph.box[np.concatenate([affine, projective])]
-    if not len(members):
-        return boxes
-    box = leaves.closed_form.box[members]
-    low = np.minimum.reduceat(box[:, 0], group_first)
-    high = np.maximum.reduceat(box[:, 1], group_first)
-    return np.concatenate([boxes, np.stack([low, high], axis=1)])
+    if len(members):
+        box = leaves.closed_form.box[members]
+        low = np.minimum.reduceat(box[:, 0], group_first)
+        high = np.maximum.reduceat(box[:, 1], group_first)
+        boxes = np.concatenate([boxes, np.stack([low, high], axis=1)])
+    return np.concatenate([boxes, leaves.revolution.box])
 
 
 def _order(leaves: Leaves) -> tuple[np.ndarray, ...]:
@@ -317,15 +335,13 @@ def _cells_of(
     """Return the trim cells of leaves in the order of the structure."""
     if trims is None:
         return None
-    cells, count = trims[1], len(leaves.graph)
-    return np.concatenate([cells[:count][graphs], cells[count:][members]])
+    ends = np.cumsum([len(leaves.graph), len(leaves.closed_form)])
+    of_graphs, of_closed, others = np.split(trims[1], ends)
+    return np.concatenate([of_graphs[graphs], of_closed[members], others])
 
 
-def _domain(
-    graph: GraphLeaves, closed: ClosedFormLeaves, cells: np.ndarray | None
-) -> np.ndarray | None:
+def _domain(leaves: Leaves, cells: np.ndarray | None) -> np.ndarray | None:
     """Return the records of domains, None where leaves are patches, all of one kind."""
-    leaves = Leaves(graph, closed)
     kinds = leaves.kinds
     if (
         cells is None
@@ -342,5 +358,11 @@ def _domain(
         patch=leaves.patch,
         cell=0 if cells is None else cells + 1,
         kind=leaves.kind,
-        corner=np.append(np.full(len(graph), NO_APEX), closed.corner),
+        corner=np.concatenate(
+            [
+                np.full(len(leaves.graph), NO_APEX),
+                leaves.closed_form.corner,
+                np.full(len(leaves.revolution), NO_APEX),
+            ]
+        ),
     )

@@ -16,6 +16,7 @@ from .graph.chart import ChartLine, cull
 from .graph.march import march
 from .query import Found, Hit, Nearest, Query, Rays
 from .records import is_kind
+from .revolution import revolution_hit
 from .structure import DOMAIN, Structure
 from .walk import BvhRays, Walk, begin, next_leaf, prepare, take_leaf, walk_to_leaves
 
@@ -45,7 +46,7 @@ def intersect(
     active = ty.Bool(active) & rays.are_valid()
     bvh = BvhRays(s.nodes, ty, ty.UInt(0), prepare(ty, rays.o, rays.d))
     walk = begin(ty, s.nodes, bvh.slabs, rays.t_max)
-    if s.only_group is not None and not s.has_graphs:
+    if s.only_group is not None and not (s.has_graphs or s.has_revolutions):
         nearest = _meet_group(query, rays, active & (walk.leaves != 0))
     else:
         nearest = search(query, bvh, rays, walk, active)
@@ -72,7 +73,7 @@ def _meet_group(query: Query, rays: Rays, active: Any) -> Nearest:
 def search(query: Query, bvh: BvhRays, rays: Rays, walk: Walk, active: Any) -> Nearest:
     """Search a BVH from where `walk` is."""
     s, ty = query.s, query.ty
-    if not (s.has_graphs or s.has_groups):
+    if not (s.has_graphs or s.has_groups or s.has_revolutions):
         none = Nearest.none(ty, rays.t_max)
         return replace(none, leaf=dr.full(ty.UInt, NO_LEAF, dr.width(active)))
 
@@ -129,6 +130,23 @@ def _no_more(query: Query, leaf: Any, hit: Any, t: Any) -> Found:
 def _meet(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
     """Choose by kind what finds the first hit."""
     s = query.s
+    if s.revolutions is None:
+        return _meet_patch(query, leaf, line, rays, active)
+    first = s.revolutions.first
+    if not (s.has_graphs or s.has_groups):
+        return revolution_hit(query, leaf - first, rays, active)
+    return dr.if_stmt(
+        args=(active, leaf, line, rays.t_max),
+        cond=active & (leaf >= first),
+        true_fn=lambda m, i, _line, t: revolution_hit(query, i - first, rays.until(t), m),
+        false_fn=lambda m, i, line, t: _meet_patch(query, i, line, rays.until(t), m),
+        label="bezier asphere",
+    )
+
+
+def _meet_patch(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
+    """Do what `_meet` does for leaves that are no aspheres."""
+    s = query.s
     if not s.has_groups:
         return march(query, leaf, line, rays, active)
     if not s.has_graphs:
@@ -183,9 +201,9 @@ def cull_leaf(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, Ch
     s = query.s
     if not s.has_graphs:
         return active, ChartLine.zero(query.ty)
-    graph = active & (leaf < s.first_group) if s.has_groups else active
+    graph = active if s.has_only_graphs else active & (leaf < s.first_group)
     candidate, line = cull(query, leaf, rays, graph)
-    if s.has_groups:
+    if not s.has_only_graphs:
         line = replace(line, certain_hit=line.certain_hit & graph)
     return active & (candidate | ~graph), line
 

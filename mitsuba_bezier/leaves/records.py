@@ -37,6 +37,10 @@ A *leaf* is a sub-triangle of a patch, mostly all of it. Its `LeafKind` says how
     the weights of the leaf are of one sign and nearly equal, else projective (`GRAPH_PROJECTIVE`;
     then W is not constant). ``docs/intersection.md`` says how the kernel uses them.
 
+`RevolutionLeaves`
+    Even aspheres: graphs of functions of revolution over a disk or a ring, each one leaf, of kind
+    `REVOLUTION`. `revolution` has the bounds.
+
 Everything is float64; what the kernel stores in float32 (``shift``, ``chart``) is rounded here
 *before* the net is expressed in it, so that the rounding moves no surface point.
 """
@@ -65,6 +69,7 @@ __all__ = [
     "LeafKind",
     "LeafSettings",
     "Leaves",
+    "RevolutionLeaves",
     "round_reach",
     "weight_signs",
 ]
@@ -80,11 +85,12 @@ class LeafKind(IntEnum):
     PLANE_SECTIONS = 4
     INVERTED = 5
     INVERTED_APEX = 6
+    REVOLUTION = 7
 
 
-#: Kinds of graph leaves, and all others.
+#: Kinds of graph leaves, and those with a closed form: all others but `REVOLUTION`.
 GRAPHS = frozenset({LeafKind.GRAPH_AFFINE, LeafKind.GRAPH_PROJECTIVE})
-CLOSED_FORMS = frozenset(LeafKind) - GRAPHS
+CLOSED_FORMS = frozenset(LeafKind) - GRAPHS - {LeafKind.REVOLUTION}
 
 #: Kinds whose parameters tell whether a point is on a leaf at all.
 INVERTED_KINDS = frozenset({LeafKind.INVERTED, LeafKind.INVERTED_APEX})
@@ -296,37 +302,57 @@ class ClosedFormLeaves(_Records):
 
 
 @dataclass
-class Leaves:
-    """The leaves of some patches; where they are counted, graphs come first."""
+class RevolutionLeaves(_Records):
+    """Arrays of `L` even aspheres."""
 
-    graph: GraphLeaves
-    closed_form: ClosedFormLeaves
-
-    def __len__(self) -> int:
-        return len(self.graph) + len(self.closed_form)
-
-    def _both(self, name: str) -> np.ndarray:
-        return np.concatenate([getattr(self.graph, name), getattr(self.closed_form, name)])
-
-    @property
-    def patch(self) -> np.ndarray:
-        """The patches ``(L,)`` of all leaves."""
-        return self._both("patch")
-
-    @property
-    def domain(self) -> np.ndarray:
-        """Maps ``(L, 3, 3)`` of leaf barycentrics to patch barycentrics, homogeneous."""
-        return self._both("domain")
-
-    @property
-    def box(self) -> np.ndarray:
-        """Axis-aligned bounds ``(L, 2, 3)``, possibly infinite."""
-        return self._both("box")
+    patch: np.ndarray = field(metadata=_each(dtype=int))  #: (L,) patch number
+    domain: np.ndarray = field(metadata=_each(3, 3))  #: the identity
+    shift: np.ndarray = field(metadata=_each(3))  #: the vertex
+    #: linear map of ``p - shift`` to axes in which the aperture's radius is one
+    axes: np.ndarray = field(metadata=_each(3, 3))
+    profile: np.ndarray = field(metadata=_each(dtype=object))  #: (L,) `revolution.Profile`
+    box: np.ndarray = field(metadata=_each(2, 3))  #: axis-aligned bounds
 
     @property
     def kind(self) -> np.ndarray:
         """The kinds ``(L,)`` of leaves."""
-        return self._both("kind")
+        return np.full(len(self), LeafKind.REVOLUTION)
+
+
+@dataclass
+class Leaves:
+    """The leaves of some patches; where they are counted, graphs come first, aspheres last."""
+
+    graph: GraphLeaves
+    closed_form: ClosedFormLeaves
+    revolution: RevolutionLeaves = field(default_factory=RevolutionLeaves.zeros)
+
+    def __len__(self) -> int:
+        return len(self.graph) + len(self.closed_form) + len(self.revolution)
+
+    def _all(self, name: str) -> np.ndarray:
+        parts = (self.graph, self.closed_form, self.revolution)
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    @property
+    def patch(self) -> np.ndarray:
+        """The patches ``(L,)`` of all leaves."""
+        return self._all("patch")
+
+    @property
+    def domain(self) -> np.ndarray:
+        """Maps ``(L, 3, 3)`` of leaf barycentrics to patch barycentrics, homogeneous."""
+        return self._all("domain")
+
+    @property
+    def box(self) -> np.ndarray:
+        """Axis-aligned bounds ``(L, 2, 3)``, possibly infinite."""
+        return self._all("box")
+
+    @property
+    def kind(self) -> np.ndarray:
+        """The kinds ``(L,)`` of leaves."""
+        return self._all("kind")
 
     @property
     def kinds(self) -> frozenset[LeafKind]:
@@ -345,7 +371,8 @@ class Leaves:
     @property
     def certified(self) -> np.ndarray:
         """A mask ``(L,)`` of the leaves that are the surface, and whose bounds hold."""
-        return np.append(self.graph.certified, np.ones(len(self.closed_form), dtype=bool))
+        count = len(self) - len(self.graph)
+        return np.append(self.graph.certified, np.ones(count, dtype=bool))
 
     def corners(self) -> np.ndarray:
         """Return the patch parameters ``(L, 3, 2)`` of the leaves' corners."""
@@ -354,11 +381,14 @@ class Leaves:
         return barycentrics[:, :2].transpose(0, 2, 1)
 
     def select(self, mask: np.ndarray) -> Leaves:
-        """Return the leaves chosen by a mask or an index array; graphs come first."""
-        chosen, count = np.arange(len(self))[mask], len(self.graph)
-        graphs = chosen < count
+        """Return the leaves chosen by a mask or an index array, in their order by kind."""
+        chosen, graphs = np.arange(len(self))[mask], len(self.graph)
+        others = graphs + len(self.closed_form)
+        closed = chosen[(chosen >= graphs) & (chosen < others)]
         return Leaves(
-            self.graph.select(chosen[graphs]), self.closed_form.select(chosen[~graphs] - count)
+            self.graph.select(chosen[chosen < graphs]),
+            self.closed_form.select(closed - graphs),
+            self.revolution.select(chosen[chosen >= others] - others),
         )
 
     def of_patches(self, numbers: np.ndarray) -> Leaves:
@@ -366,6 +396,7 @@ class Leaves:
         return Leaves(
             replace(self.graph, patch=numbers[self.graph.patch]),
             replace(self.closed_form, patch=numbers[self.closed_form.patch]),
+            replace(self.revolution, patch=numbers[self.revolution.patch]),
         )
 
     @staticmethod
@@ -374,6 +405,7 @@ class Leaves:
         return Leaves(
             GraphLeaves.join([p.graph for p in parts]),
             ClosedFormLeaves.join([p.closed_form for p in parts]),
+            RevolutionLeaves.join([p.revolution for p in parts]),
         )
 
 

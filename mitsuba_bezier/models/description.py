@@ -32,6 +32,7 @@ _TAGS = {
     "constant": "emitter",
     "area": "emitter",
     "beziertriangle": "shape",
+    "asphere": "shape",
     "rectangle": "shape",
     "disk": "shape",
     "bezierfield": "texture",

@@ -11,7 +11,7 @@ from .drawing import draw_section, draw_spots, save_figure
 from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
 from .lens import Lens, Surface
 from .paraxial import FirstOrder, first_order
-from .patches import lens_shapes, surface_patches
+from .patches import lens_shapes, surface_patches, surface_shape
 from .readers import load
 from .report import report
 from .scaling import focused, stopped_down
@@ -45,6 +45,7 @@ __all__ = [
     "spot_derivatives",
     "stopped_down",
     "surface_patches",
+    "surface_shape",
     "trace",
     "used_semi_diameters",
 ]

@@ -1,4 +1,4 @@
-"""Surfaces of a lens as exact Bézier triangles, and a lens as shapes of a scene."""
+"""Surfaces of a lens as exact Bézier triangles or aspheres, and a lens as shapes of a scene."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import PrescriptionError
+from ..errors import GeometryError, PrescriptionError
+from ..geometry.aspheres import EvenAsphere
 from ..geometry.revolution import band, cap, disk_sectors
 from ..geometry.tensor import tensor_to_triangles
 from ..geometry.triangles import BezierTriangles
@@ -51,7 +52,8 @@ def surface_patches(surface: Surface, semi_diameter: float | None = None) -> Bez
     r = surface.semi_diameter if semi_diameter is None else semi_diameter
     if not surface.is_conic:
         raise PrescriptionError(
-            "surface: expected a plane or a conic, which are exact as patches, got an even asphere"
+            "surface: expected a plane or a conic, which are exact as patches, got an even asphere "
+            "(surface_shape has it)"
         )
     if not 0 < r < np.inf:
         raise PrescriptionError(f"semi_diameter: expected a finite positive number, got {r}")
@@ -67,6 +69,55 @@ def surface_patches(surface: Surface, semi_diameter: float | None = None) -> Bez
     quadric = np.diag([c, c, c * (1 + k), 0.0])
     quadric[2, 3] = quadric[3, 2] = -1.0
     return BezierTriangles(np.array(cap(quadric, r, float(surface.sag(r)))))
+
+
+def surface_shape(
+    surface: Surface, semi_diameter: float | None = None, to_world: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Return a surface inside its clear aperture as a shape for `mi.load_dict`.
+
+    Planes and conics are the patches of `surface_patches`, even aspheres the shape ``asphere``.
+    Normals are on the side of negative z.
+
+    Parameters
+    ----------
+    surface : Surface
+        Any.
+    semi_diameter : float, optional
+        Radius of the aperture; the surface's own by default.
+    to_world : (4, 4) array, optional
+        Affine map of the surface's frame to the scene.
+
+    Raises
+    ------
+    PrescriptionError
+        If the radius is not finite or beyond the conic.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Surface, surface_shape
+    >>> surface_shape(Surface(1 / 50, semi_diameter=10, coefficients=(0, 1e-6)))["type"]
+    'asphere'
+    """
+    frame = np.eye(4) if to_world is None else np.asarray(to_world, float)
+    if surface.is_conic:
+        net = surface_patches(surface, semi_diameter).transform(frame)
+        return {"type": "beziertriangle", "control_points": net}
+    r = surface.semi_diameter if semi_diameter is None else semi_diameter
+    try:
+        EvenAsphere(surface.curvature, r, surface.conic, surface.coefficients)
+    except GeometryError as error:
+        raise PrescriptionError(str(error).replace("aperture:", "semi_diameter:", 1)) from None
+    return {
+        "type": "asphere",
+        "curvature": surface.curvature,
+        "conic": surface.conic,
+        # as text, which keeps all digits
+        "coefficients": " ".join(repr(float(a)) for a in surface.coefficients),
+        "aperture": float(r),
+        "flip_normals": True,
+        "to_world": frame,
+    }
 
 
 def rim_patches(low: tuple[float, float], high: tuple[float, float]) -> BezierTriangles:
@@ -131,7 +182,7 @@ def lens_shapes(
     Parameters
     ----------
     lens : Lens
-        Planes and conics.
+        Of planes, conics and even aspheres.
     wavelength : float, optional
         In micrometres, for the indices of the dielectrics; the reference wavelength by default.
     to_world : (4, 4) array, optional
@@ -147,7 +198,7 @@ def lens_shapes(
     Raises
     ------
     PrescriptionError
-        If a surface is an even asphere, or its size is unknown.
+        If a surface is no graph inside its aperture, or its size is unknown.
 
     Examples
     --------
@@ -170,16 +221,20 @@ def lens_shapes(
             "bsdf": bsdf,
         }
 
+    def add_surface(i: int, bsdf: dict[str, Any]) -> None:
+        shape = surface_shape(lens.surfaces[i], radii[i], frames[i])
+        shapes[f"surface-{i + 1}"] = {**shape, "bsdf": bsdf}
+
     for i, s in enumerate(lens.surfaces):
         try:
             if s.mirror:
                 # its back takes no light
-                add(f"surface-{i + 1}", surface_patches(s, radii[i]), frames[i], _mirror())
+                add_surface(i, _mirror())
             elif n[i] != n[i + 1]:
                 bsdf = {"type": "dielectric", "int_ior": n[i + 1], "ext_ior": n[i]}
                 if lens.directions()[i] < 0:  # light comes from the other side
                     bsdf = {"type": "dielectric", "int_ior": n[i], "ext_ior": n[i + 1]}
-                add(f"surface-{i + 1}", surface_patches(s, radii[i]), frames[i], bsdf)
+                add_surface(i, bsdf)
         except PrescriptionError as error:
             raise PrescriptionError(f"surface {i + 1}: {error}") from None
         if stop and s.stop and not s.mirror and n[i] == n[i + 1]:

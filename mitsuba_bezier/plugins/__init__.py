@@ -19,6 +19,7 @@ _classes: dict[tuple[str, str], type] = {}
 #: Our plugins: their kind, and the module and function that make their classes.
 PLUGINS = {
     "beziertriangle": ("shape", "shape.beziertriangle.make_shape_class"),
+    "asphere": ("shape", "shape.asphere.make_asphere_class"),
     "lens": ("sensor", "lens_sensor.make_lens_class"),
     "bezierfield": ("texture", "field_texture.make_field_class"),
     "bezieraov": ("integrator", "integrators.bezieraov.make_aov_class"),

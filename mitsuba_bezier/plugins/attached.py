@@ -20,7 +20,7 @@ __all__ = ["attached_tables", "is_attached"]
 
 def is_attached(shape: Any) -> bool:
     """Return whether derivatives by the parameters of a shape are wanted now."""
-    return bool(dr.grad_enabled(shape.control_points) or dr.grad_enabled(shape.to_world))
+    return bool(dr.grad_enabled(shape.control_points, shape.to_world, *shape.sag_parameters))
 
 
 def attached_tables(tables: Any, shapes: list[Any]) -> Any:
@@ -61,8 +61,11 @@ def attached_tables(tables: Any, shapes: list[Any]) -> Any:
     projections = tables.projections
     if projections is not None:
         projections = projections.attached(shapes)
+    aspheres = tables.aspheres
+    if aspheres is not None:
+        aspheres = aspheres.attached(shapes)
     nets = dr.replace_grad(tables.nets, nets)
-    return replace(tables, nets=nets, projections=projections)
+    return replace(tables, nets=nets, projections=projections, aspheres=aspheres)
 
 
 def _packed(shape: Any, tables: Any, first: int) -> Any:

@@ -153,6 +153,7 @@ class PatchTables:
     orientation: Any  #: Float per shape, the sign of the normal along dp_du x dp_dv
     texcoords: Any = None  #: Float, six a patch (uv at A, B, C), or None: uv is (u, v)
     projections: Any = None  #: Projections, or None: no shape has one
+    aspheres: Any = None  #: AsphereTables, or None: there is no asphere
 
     def origin(self, patch: Any, active: Any) -> Any:
         """Return the origins of patches, `mi.Point3f`."""
@@ -168,7 +169,13 @@ class PatchTables:
 
     def second(self, patch: Any, u: Any, v: Any, active: Any) -> list[list[Any]]:
         """Return homogeneous points and partials, see `evaluate_second`, from the origins."""
-        return evaluate_second(self.nets, self.degree, patch, u, v, active)
+        h = evaluate_second(self.nets, self.degree, patch, u, v, active)
+        return h if self.aspheres is None else self.aspheres.lifted(h, patch, u, v, active)
+
+    @property
+    def sources(self) -> list[Any]:
+        """What may carry derivatives by the shapes."""
+        return [self.nets] if self.aspheres is None else [self.nets, self.aspheres.values]
 
     def jet(self, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Jet:
         """Return points and partials.
@@ -380,7 +387,7 @@ def meet(
     (`InstanceTables`) tell where patches are that have some.
     """
     ours = hit.bezier & mi.Bool(active)
-    if dr.grad_enabled(tables.nets, ray):  # Dr.Jit does not differentiate what a branch gathers
+    if dr.grad_enabled(*tables.sources, ray):  # Dr.Jit does not differentiate what a branch gathers
         return Met(*_interaction(tables, hit, ray, flags, ours, instances))
     # a gather costs a packet the same for one ray as for all: none where no ray hits a patch
     return Met(
@@ -427,7 +434,7 @@ def _interaction(
     p = mi.Point3f(exact)
     p_err = dr.select(ours, jet.error(p, n), 0.0)
     pu, pv = mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
-    if follows_shape and dr.grad_enabled(tables.nets, ray):
+    if follows_shape and dr.grad_enabled(*tables.sources, ray):
         t = dr.replace_grad(t, dr.norm(dr.select(ours, p - ray.o, 1.0)) / dr.norm(ray.d))
     uv, duv_du, duv_dv = tables.texture(hit.patch, u, v, ours)
     wants_dn = mi.has_flag(flags, mi.RayFlags.dNGdUV) or mi.has_flag(flags, mi.RayFlags.dNSdUV)

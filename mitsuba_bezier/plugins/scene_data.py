@@ -26,7 +26,9 @@ from ..kernels.trim_table import TrimTable, build_table
 from ..kernels.wavefront import query
 from ..leaves.builder import build_leaves, rebuild_leaves
 from ..leaves.local_nets import local_nets
-from ..leaves.records import LeafSettings, Leaves
+from ..leaves.records import ClosedFormLeaves, GraphLeaves, LeafSettings, Leaves
+from ..leaves.revolution import revolution_leaf
+from .asphere_tables import AsphereTables
 from .attached import attached_tables
 from .frozen import contents, is_bezier
 from .instances import InstanceTables
@@ -118,6 +120,7 @@ class SceneData:
             orientation=upload(mi.Float, np.array([s.orientation for s in shapes])),
             texcoords=_texcoords(shapes),
             projections=Projections.of(shapes),
+            aspheres=AsphereTables.of(shapes, [origin for _net, origin in nets]),
         )
         if scene is not None:
             pointers = scene.shapes_dr()
@@ -287,12 +290,16 @@ class SceneData:
             return
         with dr.resume_grad():
             self.attached = attached_tables(self.tables, self.shapes)
-            if mode == dr.ADMode.Forward and dr.grad_enabled(self.attached.nets):
-                projections = self.attached.projections
+            if mode == dr.ADMode.Forward and dr.grad_enabled(*self.attached.sources):
+                projections, aspheres = self.attached.projections, self.attached.aspheres
                 if projections is not None:
                     projections = replace(projections, rows=_brought(projections.rows))
+                if aspheres is not None:
+                    aspheres = replace(aspheres, values=_brought(aspheres.values))
                 nets = _brought(self.attached.nets)
-                self.attached = replace(self.tables, nets=nets, projections=projections)
+                self.attached = replace(
+                    self.tables, nets=nets, projections=projections, aspheres=aspheres
+                )
         try:
             yield
         finally:
@@ -335,7 +342,8 @@ class SceneData:
             masks = []
             for shape in self.shapes:
                 bits = np.zeros(3 * len(shape.patches), dtype=np.uint32)
-                bits[open_edges(shape.patches, creases=False)] = 1
+                if shape.asphere is None:  # its rim is no edge of a patch
+                    bits[open_edges(shape.patches, creases=False)] = 1
                 masks.append(bits.reshape(-1, 3) @ np.array([1, 2, 4], dtype=np.uint32))
             self._open_edges = upload(mi.UInt32, np.concatenate(masks))
             self._show()
@@ -376,6 +384,9 @@ def _brought(values: Any) -> Any:
 
 def _leaves_of(shape: Any, remember: bool) -> Leaves:
     """Return the leaves of a shape, with those it remembers, and let it remember them."""
+    if shape.asphere is not None:
+        leaf = revolution_leaf(shape.asphere, shape.object_to_world)
+        return Leaves(GraphLeaves.zeros(), ClosedFormLeaves.zeros(), leaf)
     settings = LeafSettings(sections=shape.trims is None)
     if shape.kept_leaves is None:
         leaves = build_leaves(shape.patches, settings, shape.trims)

@@ -107,7 +107,7 @@ class SilhouetteCurves:
     Raises
     ------
     BezierError
-        If a shape has instances or is trimmed: their outlines are not known here.
+        If a shape has instances, is trimmed or an asphere: their outlines are not known here.
     """
 
     def __init__(self, data: Any, numbers: list[int], eye: np.ndarray | None) -> None:
@@ -117,7 +117,7 @@ class SilhouetteCurves:
         parts = []
         for number in numbers:
             shape = data.shapes[number]
-            for what in ("instances", "trims"):
+            for what in ("instances", "trims", "asphere"):
                 if getattr(shape, what) is not None:
                     raise BezierError.expected(
                         f'shape "{shape.id()}"', f"no {what} where silhouettes are asked for", what

@@ -16,6 +16,7 @@ __all__ = ["PARAMETERS", "check_known", "check_read"]
 _PATH = ("max_depth", "rr_depth", "hide_emitters")
 _SAMPLES = ("sppc", "sppp", "sppi")
 _MEDIA = ("interior", "exterior")
+_SHAPES = ("beziertriangle", "asphere")
 
 #: What each plugin documents, and what Mitsuba's class below it takes besides.
 PARAMETERS = {
@@ -23,6 +24,10 @@ PARAMETERS = {
         *("control_points", "filename", "to_world", "instances", "instances_filename"),
         *("flip_normals", "section", "body", "cap", "trims", "texcoords", "uv", "face_normals"),
         *("silhouette_sampling_weight", *_MEDIA),
+    ),
+    "asphere": (
+        *("radius", "curvature", "conic", "coefficients", "aperture", "inner_radius", "to_world"),
+        *("instances", "instances_filename", "flip_normals", "section", "body", "cap", *_MEDIA),
     ),
     "bezierfield": (
         *("ordinates", "weights", "filename", "field", "component", "colormap", "minimum"),
@@ -67,7 +72,7 @@ def check_known(plugin: str, props: mi.Properties) -> None:
             if _meant(plugin, key, 0.75):
                 raise _unknown(plugin, key)
         # any name will do for a BSDF or an emitter, but these would not be seen at all
-        elif plugin == "beziertriangle" and isinstance(props[key], (mi.Medium, mi.Texture)):
+        elif plugin in _SHAPES and isinstance(props[key], (mi.Medium, mi.Texture)):
             raise _unknown(plugin, key)
 
 

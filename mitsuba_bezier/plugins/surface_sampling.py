@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import GeometryError
+from ..geometry.aspheres import LEG, START, EvenAsphere
 from ..geometry.surface_area import is_bounded, left_of_cells
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trims import Trims
@@ -78,6 +79,25 @@ def _cell_densities(patches: BezierTriangles, trims: Trims | None, r: int) -> np
         part = out[trimmed]
         part[:, valid] *= left.reshape(len(trimmed), -1, 1)
         out[trimmed] = part
+    return out
+
+
+def _asphere_densities(asphere: EvenAsphere, matrix: np.ndarray, r: int) -> np.ndarray:
+    """Return what `_cell_densities` does for an asphere under a linear map ``(3, 3)``."""
+    valid, corners, inner = _lattice(r)
+    points = (np.concatenate([corners, inner]) * LEG - START) * asphere.aperture
+    size = asphere.aperture
+    s = np.minimum((points**2).sum(axis=2), size**2)
+    slope = asphere.derivatives(s)[1]
+    n = np.stack([*np.moveaxis(-2 * slope[..., None] * points, 2, 0), np.ones_like(s)], axis=-1)
+    n = n @ (np.linalg.det(matrix) * np.linalg.inv(matrix))  # areas go with the cofactors
+    density = (np.linalg.norm(n, axis=-1) * (LEG * size) ** 2).reshape(2, -1, 3)
+    # a cell counts unless all of it is beyond a rim
+    distance = np.linalg.norm(points.reshape(2, -1, 3, 2)[1].mean(axis=1), axis=1)
+    reach = 0.75 * LEG * size / r  # from the middle of a cell to its corners, at most
+    kept = (distance <= size + reach) & (distance >= asphere.inner - reach)
+    out = np.zeros((1, r, r, 2, 3))
+    out[:, valid] = np.where(kept[:, None], density[0], 0.0)
     return out
 
 
@@ -181,11 +201,16 @@ class SurfaceSampling:
                 emitter.flags(), mi.EmitterFlags.SpatiallyVarying
             )
             # finer where samples may fall on what is trimmed away, or on what is dark
-            r = _resolution(len(shape.patches), shape.trims is not None or varies)
+            holes = shape.trims is not None or shape.asphere is not None
+            r = _resolution(len(shape.patches), holes or varies)
             bounded = is_bounded(shape.patches)
             density = np.zeros((1, 3))
             if bounded:
-                density = _cell_densities(shape.patches, shape.trims, r)
+                if shape.asphere is None:
+                    density = _cell_densities(shape.patches, shape.trims, r)
+                else:
+                    linear = shape.object_to_world[:3, :3]
+                    density = _asphere_densities(shape.asphere, linear, r)
                 emission = _cell_emission(data, number, firsts[number], r) if varies else None
                 density = (density if emission is None else density * emission).reshape(-1, 3)
             total = density.sum() / (6 * r * r)
@@ -274,6 +299,9 @@ class SurfaceSampling:
         if self.data.trim is not None:  # what is trimmed away is no sample
             on_surface = mi.Bool(keep(self.data.trim, patch, u, v, active))
             linear = dr.select(on_surface, linear, 0.0)
+        if self.data.tables.aspheres is not None:  # nor what is beyond a rim
+            within = self.data.tables.aspheres.holds(patch, u, v, active)
+            linear = dr.select(within, linear, 0.0)
         return patch, u, v, linear
 
     def position(self, patch: Any, u: Any, v: Any, linear: Any, active: Any) -> Any:

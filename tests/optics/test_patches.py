@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import mitsuba_bezier as mb
+import mitsuba_bezier as mb  # isort: skip (before Dr.Jit)
+import drjit as dr
+
 from mitsuba_bezier.errors import PrescriptionError
-from mitsuba_bezier.optics import Abbe, Lens, Surface, lens_shapes, surface_patches, trace
+from mitsuba_bezier.optics import (
+    Abbe,
+    Lens,
+    Surface,
+    lens_shapes,
+    surface_patches,
+    surface_shape,
+    trace,
+)
 from mitsuba_bezier.optics.patches import annulus_patches, rim_patches
 
 SURFACES = {
@@ -61,6 +71,10 @@ def test_what_has_no_patches_is_refused():
         surface_patches(Surface())
     with pytest.raises(PrescriptionError, match="less than 5"):
         surface_patches(Surface(1 / 5), 5.0)
+    with pytest.raises(PrescriptionError, match="semi_diameter: expected a positive radius"):
+        surface_shape(Surface(coefficients=(0, 1e-6)))
+    with pytest.raises(PrescriptionError, match="semi_diameter: expected a radius at which"):
+        surface_shape(Surface(1 / 5, coefficients=(0, 1e-6)), 5.0)
 
 
 def doublet() -> Lens:
@@ -116,6 +130,87 @@ def test_elements_are_closed():
     p = [1.0, 2.0, 3.0] + t[:, None] * d
     front = doublet().surfaces[0].sag(np.minimum(np.hypot(p[:, 0], p[:, 1]), 12.5))
     assert (p[:, 2] > front - 1e-5).all()
+
+
+def phone_lens() -> Lens:
+    """Three aspheres in plastic to r^16, as in telephones: the fields are 0 and 25 degrees."""
+    plastic, dense = Abbe(1.5445, 55.9), Abbe(1.6398, 23.3)
+    return Lens(
+        [
+            Surface(1 / 1.62, 0.72, plastic, 0.95, -0.6, (0, 8e-3, 2e-2, -3e-2, 4e-2, -3e-2)),
+            Surface(1 / 11.5, 0.16, semi_diameter=0.9, coefficients=(0, -2e-2, 5e-2, -8e-2)),
+            Surface(-1 / 22.0, 0.3, dense, 0.88, 0.0, (0, -9e-2, 2.1e-1, -2e-1, 1.2e-1)),
+            Surface(1 / 5.2, 0.55, semi_diameter=0.9, conic=-3, coefficients=(0, -5e-2, 2e-1)),
+            Surface(-1 / 8.5, 0.62, plastic, 1.2, 0.0, (0, -8e-2, 3e-2, -1e-2, 0, 0, 0, 1e-3)),
+            Surface(-1 / 1.9, 1.5, semi_diameter=1.35, conic=-4.0, coefficients=(0, -6e-2, 1e-2)),
+        ],
+    )
+
+
+def test_aspheres_refract_in_a_scene_as_the_prescription_says():
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    lens = phone_lens()
+    turn = np.eye(4)
+    turn[:3, :3] = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn[:3, 3] = 1.0, -2.0, 0.5
+    scene = mi.load_dict({"type": "scene", **lens_shapes(lens, to_world=turn, stop=False)})
+    rng = np.random.default_rng(2)
+    angle, r = rng.random(400) * 2 * np.pi, 0.7 * np.sqrt(rng.random(400))
+    o = np.stack([r * np.cos(angle), r * np.sin(angle), np.zeros(400)], axis=1)
+    d = np.where(np.arange(400)[:, None] % 2, [0.0, 0.12, 1.0], [0.0, 0.0, 1.0])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    o = o - 2 * d
+    truth = trace(lens, o, d)
+    assert truth.valid.mean() > 0.95
+    o, d, ok = o @ turn[:3, :3].T + turn[:3, 3], d @ turn[:3, :3].T, truth.valid
+    ray = mi.Ray3f(mi.Point3f(o[ok].T), mi.Vector3f(d[ok].T))
+    for i in range(6):
+        si = scene.ray_intersect(ray)
+        p = (np.array(si.p).T - turn[:3, 3]) @ turn[:3, :3]
+        # roundings of points of size 4 in float32, three surfaces on
+        assert np.abs(p - truth.points[i][ok]).max() < 4e-6
+        sample, _ = si.bsdf().sample(mi.BSDFContext(), si, mi.Float(0.9999), mi.Point2f(0.5))
+        assert np.array(mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaTransmission)).all()
+        ray = si.spawn_ray(si.to_world(sample.wo))
+        dr.eval(ray)  # else the kernel would be that of all surfaces before
+    out = np.array(ray.d).T @ turn[:3, :3]
+    assert np.abs(out - truth.directions[6][ok]).max() < 4e-6
+
+
+def test_elements_of_aspheres_are_closed():
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    lens = phone_lens()
+    shapes = lens_shapes(lens)
+    assert [shapes[f"surface-{i}"]["type"] for i in range(1, 7)] == ["asphere"] * 6
+    assert {"edge-1", "edge-3", "edge-5"} <= set(shapes)
+    scene = mi.load_dict({"type": "scene", **shapes})
+    rng = np.random.default_rng(5)
+    for z, i in ((0.4, 0), (1.03, 2), (2.1, 4)):
+        d = rng.normal(size=(60_000, 3))
+        # a third of them to the rims
+        back = lens.surfaces[i + 1]
+        angle = rng.random(20_000) * 2 * np.pi
+        s, at = (lens.surfaces[i], 0.0) if i != 2 else (back, lens.surfaces[2].thickness)
+        rim = np.stack([s.semi_diameter * np.cos(angle), s.semi_diameter * np.sin(angle)], axis=1)
+        height = at + float(s.sag(s.semi_diameter)) + sum(x.thickness for x in lens.surfaces[:i])
+        d[:20_000] = np.append(rim - [0.1, 0.2], np.full((20_000, 1), height - z), axis=1)
+        ray = mi.Ray3f(mi.Point3f(0.1, 0.2, z), mi.Vector3f(d.T))
+        pi = scene.ray_intersect_preliminary(ray, coherent=False)
+        assert np.array(pi.is_valid()).all()
+        p = np.array([0.1, 0.2, z]) + np.array(pi.t)[:, None] * d
+        # and nothing gets out: hits are on the element, not on others behind it
+        first = sum(x.thickness for x in lens.surfaces[:i])
+        r = np.hypot(p[:, 0], p[:, 1])
+        wide = max(lens.surfaces[i].semi_diameter, back.semi_diameter)
+        assert r.max() < wide * (1 + 1e-5)
+        front = first + lens.surfaces[i].sag(np.minimum(r, lens.surfaces[i].semi_diameter))
+        rear = first + lens.surfaces[i].thickness + back.sag(np.minimum(r, back.semi_diameter))
+        assert (p[:, 2] > front - 1e-5).all()
+        assert (p[:, 2] < rear + 1e-5).all()
 
 
 def test_mirrors_and_stops_are_shapes():

@@ -25,6 +25,7 @@ from ..frozen import is_bezier
 __all__ = ["install", "shape", "with_tensors"]
 
 SHAPE = "beziertriangle"
+SHAPES = (SHAPE, "asphere")
 TEXTURE = "bezierfield"
 
 
@@ -43,7 +44,7 @@ def with_tensors(scene: Any) -> Any:
     """
     if not isinstance(scene, Mapping):
         return scene
-    ours = scene.get("type") in (SHAPE, TEXTURE)
+    ours = scene.get("type") in (*SHAPES, TEXTURE)
     changed: dict[str, Any] = {}
     if scene.get("type") == TEXTURE and isinstance(field := scene.get("ordinates"), BezierField):
         changed["ordinates"] = _tensor("ordinates", field.ordinates)
@@ -56,10 +57,16 @@ def with_tensors(scene: Any) -> Any:
         if isinstance(value, Mapping):
             new = with_tensors(value)
         else:
-            new = _tensor(key, value) if ours else value
+            new = _value(key, value) if ours else value
         if new is not value:
             changed[key] = new
     return {**scene, **changed} if changed else scene
+
+
+def _value(key: str, value: Any) -> Any:
+    if key == "to_world" and isinstance(value, np.ndarray) and value.shape == (4, 4):
+        return mi.ScalarTransform4f(value.tolist())
+    return _tensor(key, value)
 
 
 def _tensor(key: str, value: Any) -> Any:
@@ -81,7 +88,7 @@ def _tensor(key: str, value: Any) -> Any:
 def _has_ours(scene: Any) -> bool:
     if not isinstance(scene, Mapping):
         return is_bezier(scene)
-    return scene.get("type") == SHAPE or any(_has_ours(value) for value in scene.values())
+    return scene.get("type") in SHAPES or any(_has_ours(value) for value in scene.values())
 
 
 def _plain(message: str) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ... import _runtime
 from ...errors import BezierError, NetError
+from ...geometry.aspheres import EvenAsphere
 from ...geometry.proper_nets import spans_area
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
@@ -117,6 +118,11 @@ def make_shape_class() -> type:
         attributes to BSDFs and emitters; `add_attribute` adds them later.
         """
 
+        #: What the shape is instead of its patches, which then only carry parameters.
+        asphere: EvenAsphere | None = None
+        #: Arrays of numbers of it that users may differentiate by.
+        sag_parameters: tuple[Any, ...] = ()
+
         def __init__(self, props: mi.Properties) -> None:
             _runtime.check(mi.variant())
             patches, trims = read_patches(props)
@@ -153,7 +159,7 @@ def make_shape_class() -> type:
                 watch(self.sensor(), "irradiancemeter", self)
             self._need_area(patches)
             #: The patches and what follows from them.
-            self.state = PatchState(patches, matrix, flip, trims, instances)
+            self.state = self._state(patches, matrix, flip, trims, instances)
             self.control_points = _tensor(self.state.exposed)
             self.to_world = mi.Transform4f(mi.Matrix4f(matrix.tolist()))
             #: Texture coordinates at the corners (P, 3, 2), or None.
@@ -172,6 +178,9 @@ def make_shape_class() -> type:
             self._commit()
             for name, ordinates in attributes.items():
                 self._add(name, ordinates)
+
+        def _state(self, *args: Any) -> PatchState:
+            return PatchState(*args)
 
         @property
         def version(self) -> int:

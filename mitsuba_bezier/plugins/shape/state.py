@@ -11,7 +11,7 @@ from ...geometry.surface_area import surface_area
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
 
-__all__ = ["PatchState", "finite_bounds", "representable"]
+__all__ = ["PatchState", "finite_bounds", "one_of_each_size", "representable"]
 
 #: Powers of two, either way, up to which factors of nets do no harm in float32: what is computed of
 #: them has products of three.
@@ -108,14 +108,22 @@ class PatchState:
         """Return the area of all, infinite for surfaces that run to infinity."""
         if self.instances is None:
             return surface_area(self.patches, self.trims)
-        # rigid instances of one size have one area
-        linear = self.instances[:, :3, :3]
-        forms = np.einsum("nki,nkj->nij", linear, linear).reshape(-1, 9)
-        _forms, first, count = np.unique(
-            np.round(forms, 12), axis=0, return_index=True, return_counts=True
-        )
-        areas = [surface_area(self.patches.transform(m), self.trims) for m in self.instances[first]]
+        maps, count = one_of_each_size(self.instances)
+        areas = [surface_area(self.patches.transform(m), self.trims) for m in maps]
         return float(np.dot(areas, count))
+
+
+def one_of_each_size(instances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return maps ``(K, 4, 4)`` of all sizes, and how many there are of each.
+
+    Rigid instances of one size have one area.
+    """
+    linear = instances[:, :3, :3]
+    forms = np.einsum("nki,nkj->nij", linear, linear).reshape(-1, 9)
+    _forms, first, count = np.unique(
+        np.round(forms, 12), axis=0, return_index=True, return_counts=True
+    )
+    return instances[first], count
 
 
 def finite_bounds(patches: BezierTriangles) -> np.ndarray:
