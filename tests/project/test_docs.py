@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from pathlib import Path
 from typing import Any
@@ -119,3 +120,61 @@ def test_the_reader_in_contributing_reads(tmp_path):
     path.write_text("0 0 0 1")
     with pytest.raises(ValueError, match=r"two\.toy"):
         namespace["read"](path)
+
+
+PROSE = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("[a-z]*/*.md"))]
+PROSE = [page for page in PROSE if page.parent.name not in ("generated", "_build")]
+PROSE += [DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md"]
+
+
+def prose():
+    """Return the module that counts words, docs/prose.py."""
+    spec = importlib.util.spec_from_file_location("docs_prose", DOCS / "prose.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda page: page.stem)
+def test_sentences_are_short(page):
+    counter = prose()
+    found = counter.sentences(page.read_text(encoding="utf-8"))
+    lengths = [counter.count(sentence) for sentence in found]
+    # fewer than one in fifty is long; a short page may have one
+    too_long = [s for s in found if counter.count(s) > counter.LONG]
+    assert len(too_long) <= max(1, (len(found) - 1) // 50), "\n".join(too_long)
+    assert sum(lengths) <= 25 * max(len(lengths), 1)
+
+
+def test_of_all_sentences_fewer_than_one_in_fifty_is_long():
+    counter = prose()
+    found = [s for page in PROSE for s in counter.sentences(page.read_text(encoding="utf-8"))]
+    assert len(found) > 1000
+    assert 50 * sum(counter.count(s) > counter.LONG for s in found) < len(found)
+
+
+def test_what_counts_as_a_sentence():
+    counter = prose()
+    text = """# A title is none
+
+Two words. One, [two three](x.md) `a b`!
+Goes on here.
+
+| a | table |
+| --- | --- |
+
+* An item
+  in two lines.
+* Another.
+
+```text
+Code is none.
+```
+
+    mitsuba-bezier render
+
+1. Last, e.g. this.
+"""
+    words = ["Two words.", "One, two three code!", "Goes on here.", "An item in two lines."]
+    assert counter.sentences(text) == [*words, "Another.", "Last, e.g this."]
+    assert counter.count("It is 3 * 4 - 5, or so.") == 7
