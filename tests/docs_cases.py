@@ -54,6 +54,7 @@ def named_commands(text: str) -> Iterator[list[str]]:
     """Return the words of each command in the lines of a page, between backticks."""
     text = re.sub(r"^( *)(`{3,}).*?^\1\2 *$", "", text, flags=re.S | re.M)
     for found in re.findall(r"`((?:mitsuba-bezier|python|pytest) [^`]+)`", text):
-        words = shlex.split(" ".join(found.split()), comments=True)
+        one = re.sub(r"\[(\w+)(?: \\?\| \w+)+\]", r"[\1]", " ".join(found.split()))  # of [A | B]
+        words = shlex.split(one, comments=True)
         if "..." not in words:
             yield words

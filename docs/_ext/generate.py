@@ -12,6 +12,7 @@ import re
 import shutil
 import textwrap
 from pathlib import Path
+from types import ModuleType
 
 import mitsuba_bezier
 from mitsuba_bezier.cli import main as program
@@ -261,8 +262,12 @@ GROUPS = {
     ],
 }
 
-#: Public names that are no functions or classes.
-NO_PAGE = {"__version__", "figures"}
+#: Public names that are no functions or classes: modules have pages of their own.
+NO_PAGE = {
+    name
+    for name in mitsuba_bezier.__all__
+    if isinstance(getattr(mitsuba_bezier, name), (ModuleType, str))
+}
 
 
 def api() -> str:

@@ -51,7 +51,7 @@ class Quadric(Parametrization):
     >>> import numpy as np, mitsuba_bezier as mb
     >>> from mitsuba_bezier import fit
     >>> one = mb.sphere(cover="tetrahedral")[:1]
-    >>> np.round(fit.Quadric(one).start()["numbers"] * 2, 6).tolist()
+    >>> np.round(fit.Quadric(one).start()["numbers"], 6).tolist()
     [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, -1.0]
     """
 

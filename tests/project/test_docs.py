@@ -15,7 +15,7 @@ LIVE = [page for page in PAGES if page == "quickstart" or page.startswith("howto
 #: README's example renders at full size: `test_readme.py` runs it small. CONTRIBUTING's is below.
 ELSEWHERE = {"README", "CONTRIBUTING"}
 #: Packages that a page needs, which not every installation has.
-NEEDS: dict[str, tuple[str, ...]] = {}
+NEEDS: dict[str, tuple[str, ...]] = {"fitting": ("scipy",)}
 
 
 def code_blocks(text: str) -> list[tuple[int, str]]:

