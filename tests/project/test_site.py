@@ -145,3 +145,12 @@ def test_the_lecture_is_cut_into_pages_that_keep_all_of_it():
 )
 def test_links_of_the_repository_lead_somewhere_on_the_site(page, link, led):
     assert PAGES.lead(page, link) == led
+
+
+def test_the_drawings_of_the_concepts_are_there():
+    pytest.importorskip("matplotlib")
+    draw = module("docs_concepts", DOCS / "concepts" / "draw.py")
+    text = "".join(p.read_text(encoding="utf-8") for p in (DOCS / "concepts").glob("*.md"))
+    for name, figure in draw.FIGURES.items():
+        assert f"]({name}.svg)" in text and (DOCS / "concepts" / f"{name}.svg").exists()
+        assert figure().encoded(".svg").startswith(b"<?xml")  # with its asserts
