@@ -66,6 +66,7 @@ def minimize(
     loss: str | Callable[[Any, Any], Any] = "l2",
     terms: Sequence[tuple[float, str, Callable[[Any], Any]]] = (),
     spp: int = 16,
+    views: int | None = None,
     steps: int = 100,
     rate: float = 0.02,
     method: str = "adam",
@@ -75,13 +76,15 @@ def minimize(
     checkpoint: str | os.PathLike[str] | None = None,
     every: float = 30.0,
     progress: bool | None = None,
+    callback: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Search parameters of a scene whose images are `targets`, or whose `objective` is least.
 
     Parameters
     ----------
-    scene : mi.Scene
-        It is changed, and has the parameters found at the end.
+    scene : mi.Scene or None
+        It is changed, and has the parameters found at the end. None where an objective needs no
+        scene: then nothing is built, and `unknowns` have names of your own.
     unknowns : dict of str to Parametrization
         By the names of `mi.traverse(scene)`.
     targets : sequence of (H, W, C) array, or dict of int to array
@@ -97,6 +100,8 @@ def minimize(
         for example `Joins`.
     spp : int
         Samples of a pixel.
+    views : int, optional
+        How many of the targets a step of Adam looks at, in turn; by default all.
     steps : int
         How many; a step of L-BFGS may take several evaluations.
     rate : float
@@ -116,6 +121,8 @@ def minimize(
         from it, and ends where an uninterrupted one does, but for the order in which threads add.
     progress : bool, optional
         Show step, loss and time left; by default on a terminal.
+    callback : callable, optional
+        ``callback(step, loss)`` after each step, with the scene as it was rendered.
 
     Returns
     -------
@@ -162,10 +169,12 @@ def minimize(
             raise BezierError.expected(name, "a number above zero", real)
     if not smoothing >= 0:
         raise BezierError.expected("smoothing", "zero or more", smoothing)
-    images = _images(scene, targets, objective, integrator, loss, spp)
+    if views is not None and (method != "adam" or views < 1):
+        raise BezierError.expected("views", 'one or more, and method "adam"', views)
+    images = _images(scene, targets, objective, integrator, loss, spp, views)
     problem = Problem(scene, unknowns, images, terms, smoothing)
     search = Search(problem, int(steps), rate, method, dict(refine or {}), seed, checkpoint, every)
-    with _display(progress, steps) as show:
+    with _display(progress, steps, callback) as show:
         if method == "adam":
             search.adam(show)
         else:
@@ -195,6 +204,7 @@ def _images(
     integrator: Any,
     loss: Any,
     spp: int,
+    views: int | None,
 ) -> Callable[[Any, int], Iterator[Any]]:
     """Return the function that yields the losses of a step, one by one."""
     mi = import_mitsuba()
@@ -202,6 +212,8 @@ def _images(
         raise BezierError.expected(
             "targets, objective", "one of them", "none" if targets is None else "both"
         )
+    if scene is None and objective is None:
+        raise BezierError.expected("scene", "a scene that images are rendered of", "None")
     if objective is not None:
 
         def own(params: Any, seed: int) -> Iterator[Any]:
@@ -235,8 +247,11 @@ def _images(
         raise BezierError.expected("targets", "at least one image", "none")
 
     def rendered(params: Any, seed: int) -> Iterator[Any]:
-        for i, (index, target) in enumerate(wanted.items()):
-            base = 2 * (seed * len(wanted) + i)
+        count = min(views or len(wanted), len(wanted))
+        items = list(wanted.items())
+        for i in range(count):
+            index, target = items[(seed * count + i) % len(items)]
+            base = 2 * (seed * count + i)
             image = mi.render(
                 scene,
                 params,
@@ -252,8 +267,10 @@ def _images(
 
 
 @contextmanager
-def _display(progress: bool | None, steps: int) -> Iterator[Callable[[int, float], None]]:
-    """Show step, loss and time left on stderr."""
+def _display(
+    progress: bool | None, steps: int, callback: Callable[[int, float], None] | None
+) -> Iterator[Callable[[int, float], None]]:
+    """Show step, loss and time left on stderr, and call who wants to know."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -280,5 +297,7 @@ def _display(progress: bool | None, steps: int) -> Iterator[Callable[[int, float
 
         def show(step: int, loss: float) -> None:
             bar.update(task, completed=step, loss=loss)
+            if callback is not None:
+                callback(step, loss)
 
         yield show

@@ -38,7 +38,7 @@ class Problem:
 
     Parameters
     ----------
-    scene : mi.Scene
+    scene : mi.Scene or None
     unknowns : dict of str to Parametrization
         By the names of `mi.traverse`.
     images : callable
@@ -58,11 +58,11 @@ class Problem:
         terms: Sequence[tuple[float, str, Callable[[Any], Any]]],
         smoothing: float,
     ) -> None:
-        self.params = import_mitsuba().traverse(scene)
         if not unknowns:
             raise BezierError.expected("unknowns", "at least one parameter", "none")
+        self.params: Any = _Loose() if scene is None else import_mitsuba().traverse(scene)
         for key, item in unknowns.items():
-            if key not in self.params:
+            if scene is not None and key not in self.params:
                 near = ", ".join(
                     k for k in dict(self.params.items()) if k.split(".")[-1] == key.split(".")[-1]
                 )
@@ -128,13 +128,19 @@ class Problem:
         import drjit as dr
 
         for key, arrays in self.arrays(x).items():
-            value = self.unknowns[key].value({k: tensor(v) for k, v in arrays.items()})
-            kind = type(self.params[key])
-            value = value if isinstance(value, kind) else _as(kind, value)
+            value = self._fitting(
+                key, self.unknowns[key].value({k: tensor(v) for k, v in arrays.items()})
+            )
             if grad:
                 dr.enable_grad(value)
             self.params[key] = value
         self.params.update()
+
+    def _fitting(self, key: str, value: Any) -> Any:
+        """Return a value as what the parameter of the scene is."""
+        if isinstance(self.params, _Loose) or isinstance(value, type(self.params[key])):
+            return value
+        return _as(type(self.params[key]), value)
 
     def evaluate(self, x: np.ndarray, seed: int) -> tuple[float, np.ndarray]:
         """Return the loss of a vector, and its gradient.
@@ -158,10 +164,9 @@ class Problem:
             inputs = {name: tensor(values) for name, values in arrays.items()}
             for one in inputs.values():
                 dr.enable_grad(one)
-            kind = type(self.params[key])
             value = self.unknowns[key].value(inputs)
             # the chain rule as one number: what the images say, and the terms
-            chained = _dot(value if isinstance(value, kind) else _as(kind, value), leaves[key])
+            chained = _dot(self._fitting(key, value), leaves[key])
             for weight, name, function in self.terms:
                 if name == key:
                     term = weight * function(value)
@@ -175,6 +180,13 @@ class Problem:
                     g = np.array(dr.grad(inputs[name]), dtype=np.float64)
                     gradient[place] = scale * g.ravel()
         return total, gradient
+
+
+class _Loose(dict[str, Any]):
+    """Parameters that belong to no scene."""
+
+    def update(self) -> None:  # type: ignore[override]
+        """Do nothing: no scene is to follow."""
 
 
 def _dot(value: Any, gradient: Any) -> Any:

@@ -196,6 +196,44 @@ def test_bad_arguments_are_one_clear_message(options: dict[str, Any], says: str)
         search(**options)
 
 
+def test_no_scene_is_needed_where_nothing_is_rendered() -> None:
+    found = fit.minimize(
+        None,
+        {"own": fit.Values([3.0, 4.0])},
+        objective=lambda p, s: dr.sum(dr.square(p["own"].array - 1)),
+        method="l-bfgs",
+        progress=False,
+    )
+    assert np.allclose(found.values["own"], 1, atol=1e-5)
+    with pytest.raises(mb.BezierError, match="scene"):
+        fit.minimize(None, {"own": fit.Values([3.0])}, [np.zeros((2, 2, 3))])
+
+
+def test_views_take_turns() -> None:
+    scene = scene_of()
+    black = np.zeros((12, 12, 3), dtype=np.float32)
+    seen: list[float] = []
+
+    def loss(image: Any, target: Any) -> Any:
+        seen.append(float(target.array[0]))
+        return dr.mean(dr.square(image - target), axis=None)
+
+    fit.minimize(
+        scene,
+        {KEY: fit.Sphere()},
+        {0: black},
+        loss=loss,
+        integrator="bezierpath",
+        views=1,
+        steps=2,
+        spp=2,
+        progress=False,
+    )
+    assert seen == [0.0, 0.0]
+    with pytest.raises(mb.BezierError, match="views"):
+        search(views=0)
+
+
 def test_targets_are_checked() -> None:
     scene = scene_of()
     good = np.zeros((12, 12, 3), dtype=np.float32)
