@@ -6,8 +6,10 @@ import argparse
 import math
 import re
 
-__all__ = ["duration", "noise_level", "seconds"]
+__all__ = ["duration", "flip_level", "noise_level", "seconds"]
 
+#: Of the pixels, which a FLIP error is asked of.
+SHARE = 0.95
 _UNITS = {"": 1, "s": 1, "min": 60, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -36,6 +38,23 @@ def noise_level(text: str) -> float:
             f"expected a relative error such as 0.02 or 2%, from 0.000001 to below 1, got {text!r}"
         )
     return value
+
+
+def flip_level(text: str) -> tuple[float, float]:
+    """Return a FLIP error and a share of the pixels, as ``0.05`` or ``0.05@99%``, for a flag."""
+    first, at, second = text.partition("@")
+    try:
+        error, share = float(first), SHARE
+        if at:
+            share = float(second[:-1]) / 100 if second.endswith("%") else float(second)
+    except ValueError:
+        error = share = math.nan
+    if not (1e-4 <= error < 1 and 0 < share < 1):
+        raise argparse.ArgumentTypeError(
+            "expected a FLIP error from 0.0001 to below 1, and maybe of how many pixels, such as "
+            f"0.05 or 0.05@99%, got {text!r}"
+        )
+    return error, share
 
 
 def seconds(text: str) -> float:

@@ -158,7 +158,10 @@ def prepare(client: Any, shot: Any, note: Callable[[str], None]) -> _worker.Job:
         name = f"mitsuba-bezier-{bundle.digest}"
 
         def setup(self, worker: Any) -> None:
-            _worker.receive(bundle, worker.local_directory)
+            try:
+                _worker.receive(bundle, worker.local_directory)
+            except (BezierError, OSError) as error:
+                raise BezierError(f"{error}, at worker {worker.address}") from None
 
     answers = client.run(_worker.probe, shot.variant, on_error="return")
     ours = machine()

@@ -22,13 +22,15 @@ import numpy as np
 
 from .. import _signals
 from .._files import Files, check_target, refuse_inputs, write_file, write_files
-from ..errors import BezierError, FileFormatError
+from ..errors import BezierError, FileFormatError, RuntimeSetupError
 from ..rendering import passes as _rendering
 from ..rendering.denoise import auxiliary, check_denoiser, denoise, denoiser_name
 from ..rendering.goal import Goal, shown_time
 from ..rendering.keeper import Keeper
+from ..rendering.perceived import expected_flip
 from ..rendering.picture import Picture, beside, encode_sums, load_sums, machine, sums_path
 from ..rendering.plan import STYLES, make_plan, pass_seed, sampled_pixels, usual_style
+from ..verification import flip
 from ..verification.images import encode_exr, read_image
 from . import _images
 from ._scene import Loaded
@@ -60,6 +62,8 @@ class Shot:
         Header attributes that tell this render from others, whatever its number of samples.
     frame : int or None
         Which frame of a film it is.
+    flip_found : float or None
+        The FLIP error to be expected, at the end of a render that asked for one.
     """
 
     def __init__(
@@ -74,18 +78,20 @@ class Shot:
         self.args, self.loaded, self.sensor = args, loaded, sensor
         self.integrator, self.frame = loaded.integrator, frame
         self.variant, self.output = variant, output
+        self.flip_found: float | None = None
         self.preview, self.sums = output.with_suffix(".png"), sums_path(output)
         self.denoised = beside(output, ".denoised.exr")
         film, sampler = sensor.film(), sensor.sampler()
-        open_end = args.until_noise is not None or args.time is not None
+        until = args.until_noise is not None or args.until_flip is not None
+        open_end = until or args.time is not None
         if args.part and open_end:
-            raise BezierError.expected("--part", "neither --until-noise nor --time", "both")
+            raise BezierError.expected("--part", "no --until-noise, --until-flip, --time", "both")
         spp = args.spp or (NO_END if open_end else sampler.sample_count())
         pixels = sampled_pixels(film)
         self.plans = {
             style: make_plan(pixels, spp, variant, args.spp_per_pass, style) for style in STYLES
         }
-        self.plan = self.plans[usual_style(sampler) if args.until_noise is None else "fine"]
+        self.plan = self.plans["fine" if until else usual_style(sampler)]
         self.part = args.part or (0, 1)
         if self.part[1] > len(self.plan):
             raise BezierError.expected(
@@ -138,6 +144,10 @@ class Shot:
             from ._many import check_dask
 
             check_dask()
+        if self.args.until_flip is not None and not flip.available():
+            raise RuntimeSetupError(
+                "--until-flip needs flip-evaluator: pip install 'mitsuba-bezier[compare]'"
+            )
         if self.args.denoise:
             check_target(self.denoised, "--output")
             check_denoiser()
@@ -171,6 +181,10 @@ class Shot:
             found["noise"] = noise
         if self.args.until_noise is not None:
             found["noise_asked"] = self.args.until_noise
+        if self.args.until_flip is not None:
+            found["flip_asked"], found["flip_share"] = self.args.until_flip
+            if self.flip_found is not None:
+                found["flip_expected"] = self.flip_found
         if self.args.part:
             found["plan"] = f"{self.plan.spp} spp in {self.plan.kind}"
         else:
@@ -234,11 +248,15 @@ class Shot:
             if self.output.is_file() and not self.sums.exists():
                 found = read_image(self.output).attributes
                 same = all(found.get(key) == self.identity.get(key) for key in (*SAME, "seed"))
-                if self.args.until_noise is not None:
+                if self.args.until_flip is not None:
+                    error, share = self.args.until_flip
+                    done = found.get("flip_share") == np.float32(share)
+                    done = done and float(found.get("flip_expected", 1.0)) <= error
+                elif self.args.until_noise is not None:
                     done = found.get("noise", 1.0) <= self.args.until_noise
                 else:
                     done = found.get("spp_asked") == self.asked
-                return bool(same and done and found.get("stopped_by") in ("spp", "noise"))
+                return bool(same and done and found.get("stopped_by") in ("spp", "noise", "flip"))
         return False
 
     def better(self) -> int:
@@ -268,7 +286,7 @@ def render(shot: Shot, say: Callable[[str], None], client: Any = None) -> None:
     args, plan = shot.args, shot.plan
     picture = _begin(shot, say)
     before = picture.total.spp
-    goal = Goal(args.until_noise, args.time)
+    goal = Goal(args.until_noise, args.until_flip, args.time)
     better = shot.better()  # also one that was finished just before the sums were to go
 
     def shown(state: Picture) -> Files:
@@ -377,9 +395,9 @@ def _render_by_many(
                 # by all of them together
                 goal.measured(shot.plan[index], farm.seconds_a_pass / workers)
             now = time.perf_counter()
-            if goal.noise is not None and now - judged < cost / JUDGING:
+            if (goal.noise or goal.flip) and now - judged < cost / JUDGING:
                 return False  # parts come one after the other, and a large film takes a while
-            ended = goal.reached(picture, shot.plan[index])
+            ended = goal.reached(picture, shot.plan[index], True)
             judged = time.perf_counter()
             cost = judged - now
             return ended
@@ -423,6 +441,8 @@ def _finish(
     args = shot.args
     complete = picture.done >= set(shot.indices)
     stopped_by = "spp" if complete else goal.stopped_by
+    if args.until_flip is not None:
+        shot.flip_found = expected_flip(picture.total, args.until_flip[1])
     files = shot.encode_picture(picture, stopped_by)
     if args.denoise:
         files |= shot.encode_denoised(picture, stopped_by)
@@ -441,6 +461,8 @@ def _finish(
     reached = "" if noise is None else f", noise {noise:.2%}"
     if args.until_noise is not None and stopped_by != "noise":
         reached += f" of {args.until_noise:.2%} (stopped by {stopped_by})"
+    if shot.flip_found is not None:
+        reached += f", FLIP of {args.until_flip[0]:g} expected to be {shot.flip_found:.4f}"
     say(
         f"mitsuba-bezier: wrote {printable(names)}: {picture.total.spp} spp, seed {args.seed}, "
         f"{shot.variant}{reached}, {picture.seconds:.1f} s"

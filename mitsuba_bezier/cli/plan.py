@@ -108,7 +108,14 @@ def _render_words(args: argparse.Namespace) -> list[str]:
         words += [flag, str(number)] if number else []
     more = shlex.split(args.render)
     for word in more:
-        if word.split("=")[0] in ("--part", "-o", "--output", "--until-noise", "--time"):
+        if word.split("=")[0] in (
+            "--part",
+            "-o",
+            "--output",
+            "--until-noise",
+            "--until-flip",
+            "--time",
+        ):
             raise BezierError.expected("--render", "options that all parts share", word)
     return [*words, *more]
 

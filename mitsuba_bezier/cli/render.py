@@ -13,7 +13,7 @@ from .. import _runtime
 from .._files import is_utf8
 from ..errors import BezierError, RuntimeSetupError
 from . import _model
-from ._flags import duration, noise_level, seconds
+from ._flags import duration, flip_level, noise_level, seconds
 from ._limits import add_limits
 from ._streams import printable
 
@@ -79,6 +79,12 @@ def _part(text: str) -> tuple[int, int]:
     if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
         raise argparse.ArgumentTypeError(f"expected I/N with 1 <= I <= N, got {text!r}")
     return int(number) - 1, int(count)
+
+
+def _address(text: str) -> str:
+    if not text.strip():  # of a variable of the shell that is not set
+        raise argparse.ArgumentTypeError(f"expected the address of a dask scheduler, got {text!r}")
+    return text
 
 
 def add_parser(subparsers: Any) -> None:
@@ -162,6 +168,13 @@ def add_parser(subparsers: Any) -> None:
         "--spp is the upper limit, if given",
     )
     add(
+        "--until-flip",
+        metavar="X[@P]",
+        type=flip_level,
+        help="stop when FLIP, the difference that is seen, between picture and perfect picture is "
+        "expected to be no more than X in 95%% of the pixels, or P; needs the extra 'compare'",
+    )
+    add(
         "--time",
         metavar="T",
         type=duration,
@@ -183,6 +196,7 @@ def add_parser(subparsers: Any) -> None:
     many.add_argument(
         "--scheduler",
         metavar="ADDRESS",
+        type=_address,
         help="render by the workers of a dask scheduler, such as tcp://host:8786",
     )
     add("--json", metavar="FILE", help="write what was reached; '-' for standard output")

@@ -283,33 +283,44 @@ class Accumulator:
         if self._square is None or self._weight is None or self.passes < 2:
             return None
         if self._noise[0] != self.passes:  # it is asked for again and again
-            self._noise = self.passes, self._noise_now(self._square, self._weight)
+            self._noise = self.passes, self._noise_now()
         return self._noise[1]
 
-    def _noise_now(self, squares: _ExactSum, weights: _ExactSum) -> float | None:
-        weight = weights.value()
+    def _noise_now(self) -> float | None:
+        errors = self.relative_errors()
+        assert errors is not None
+        known = np.isfinite(errors)
+        return float(errors[known].mean()) if known.any() else None
+
+    def relative_errors(self) -> np.ndarray | None:
+        """Return the estimates of pixels whose mean `noise` is, NaN where there is none."""
+        if self._square is None or self._weight is None or self.passes < 2:
+            return None
+        weight = self._weight.value()
         there = weight != 0
         weight = np.where(there, weight, 1.0)
         light = _luminance({name: total.value() for name, total in self._sums.items()})
         with np.errstate(invalid="ignore", over="ignore"):
             mean = light / weight
-            square = np.maximum(squares.value() / weight - mean**2, 0.0) / (self.passes - 1)
+            square = np.maximum(self._square.value() / weight - mean**2, 0.0) / (self.passes - 1)
             mean = np.abs(mean)
             usable = there & np.isfinite(square) & np.isfinite(mean)
+        errors = np.full(weight.shape, np.nan)
         if not usable.any():
-            return None
+            return errors
         floor = DARK * float(mean[usable].mean())
         if floor == 0:
-            return 0.0
+            errors[usable] = 0.0
+            return errors
         relative = np.where(
             usable, square / np.maximum(np.where(usable, mean, 1.0), floor) ** 2, 0.0
         )
         known = _around(usable.astype(np.float64))
-        error = np.sqrt(_around(relative)[usable] / known[usable])
         # what is left of a root's bias, were all normally distributed and alike around a pixel
         n = float(9 * (self.passes - 1)) + 1
         small = math.sqrt(2 / (n - 1)) * math.exp(math.lgamma(n / 2) - math.lgamma((n - 1) / 2))
-        return float(error.mean()) / small
+        errors[usable] = np.sqrt(_around(relative)[usable] / known[usable]) / small
+        return errors
 
 
 def _around(values: np.ndarray) -> np.ndarray:

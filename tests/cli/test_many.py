@@ -96,6 +96,13 @@ def test_a_scheduler_that_is_not_there(folder, monkeypatch, capsys):
     assert not os.path.exists("ball.exr")
 
 
+@pytest.mark.parametrize("address", ["", " "])
+def test_an_empty_address_is_none(folder, address, capsys):
+    assert run("render", "ball.xml", "--scheduler", address) == 2
+    assert "--scheduler: expected the address of a dask scheduler" in capsys.readouterr().err
+    assert not os.path.exists("ball.exr")
+
+
 def test_whether_workers_can_be_reached():
     from mitsuba_bezier.cli import _many
 
@@ -147,6 +154,7 @@ def test_workers_of_other_versions_are_named(folder, monkeypatch, capsys):
         assert run("render", "ball.xml", "--scheduler", address) == 2
         found = capsys.readouterr().err.splitlines()[-1]
         assert "room for the scene's files" in found and "No space left" in found
+        assert "at worker inproc://" in found
 
 
 MODELS = ("models/ball.vtu", "models/egg.vtu", "--light", "sky.exr", "--size", "40x30")

@@ -420,6 +420,39 @@ def test_it_stops_at_the_noise_asked_for(folder, capsys, noise):
     same("a.exr", "b.exr")
 
 
+def test_it_stops_where_a_perfect_picture_would_look_alike(folder, capsys, monkeypatch):
+    pytest.importorskip("flip_evaluator")
+    from mitsuba_bezier.verification.flip import flip_map
+
+    words = ("ball.xml", "-q", "--until-flip", "0.03@90%", "--json", "-")
+    assert render(*words, "-o", "a.exr") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["stopped_by"] == "flip" and found["flip_asked"] == 0.03
+    assert found["flip_share"] == 0.9 and 0.02 < found["flip_expected"] <= 0.03
+    # as FLIP against many samples has it
+    assert render("ball.xml", "-q", "--spp", "20000", "--seed", "9", "-o", "many.exr") == 0
+    images = []
+    for name in ("many.exr", "a.exr"):
+        channels = read_image(name).channels
+        images.append(np.stack([channels[c] for c in "RGB"], axis=-1).astype(np.float64))
+    true = float(np.quantile(flip_map(*images, "linear"), 0.9))
+    # a small picture, and one draw of its noise
+    assert true == pytest.approx(found["flip_expected"], rel=0.2)
+    # and goes on from there to less, as in one run
+    assert render("ball.xml", "-q", "--until-flip", "0.02@90%", "-o", "a.exr") == 0
+    assert render("ball.xml", "-q", "--until-flip", "0.02@90%", "-o", "b.exr") == 0
+    same("a.exr", "b.exr")
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    assert render(*words, "-o", "c.exr") == 2
+    assert "pip install 'mitsuba-bezier[compare]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["0", "1", "0.1@", "0.1@0", "0.1@100%", "x", "nan", "0.1@nan%"])
+def test_flip_errors_that_are_none(folder, text, capsys):
+    assert render("ball.xml", "--until-flip", text) == 2
+    assert "expected a FLIP error" in capsys.readouterr().err
+
+
 def test_the_samples_are_the_upper_limit(folder, capsys):
     assert render("ball.xml", "--until-noise", "1e-4", "--spp", "20", "-o", "a.exr") == 0
     assert "of 0.01% (stopped by spp)" in capsys.readouterr().err
