@@ -4,23 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import shutil
 from typing import Any
 
 import pytest
-from docs_cases import DOCS, PAGES, ROOT, Block, blocks, commands
+from docs_cases import DOCS, LIVE, PAGES, blocks, code_blocks, run_page
 
-#: Pages whose commands of ours are run, too, with files of their own: small, with few samples.
-LIVE = [page for page in PAGES if page == "quickstart" or page.startswith("howto/")]
 #: README's example renders at full size: `test_readme.py` runs it small. CONTRIBUTING's is below.
 ELSEWHERE = {"README", "CONTRIBUTING"}
-#: Packages that a page needs, which not every installation has.
-NEEDS: dict[str, tuple[str, ...]] = {"fitting": ("scipy",)}
-
-
-def code_blocks(text: str) -> list[tuple[int, str]]:
-    """Line number and code of each block of Python."""
-    return [(block.line, block.text) for block in blocks(text) if block.language == "python"]
 
 
 @pytest.fixture
@@ -34,67 +24,10 @@ def variant():
         mi.set_variant(before)
 
 
-def small(code: str) -> str:
-    """Return code that renders fewer pixels and samples."""
-    code = re.sub(r"spp=\d+", "spp=2", code)
-    code = re.sub(r'"width": \d+, "height": \d+', '"width": 40, "height": 30', code)
-    return re.sub(r"size=\(\d+, \d+\)", "size=(40, 30)", code)
-
-
-def small_command(words: list[str]) -> list[str]:
-    """Return the words of a command of ours with fewer pixels and samples."""
-    if words[0] != "render":
-        return words
-    words = [*words, "-q", "--spp", "2"]  # the last of two counts
-    if any(word.endswith(".xml") for word in words[1:2]):
-        return words
-    return [*words, "--size", "40x30"]
-
-
-def run(block: Block, page: str, namespace: dict[str, Any]) -> None:
-    """Run a block of Python, load one of XML, run the commands of a live page."""
-    import mitsuba as mi
-
-    text, live = block.text, page in LIVE
-    if block.language == "python":
-        # empty lines before, so that a traceback shows the line of the page
-        text = small(text) if live else text
-        exec(compile("\n" * block.line + text, str(PAGES[page]), "exec"), namespace)
-    elif block.language == "xml":
-        name = re.match(r"<!-- (\S+\.xml) -->", text)
-        if not text.lstrip().startswith("<scene") and name is None:
-            text = f'<scene version="3.0.0">{text}</scene>'
-        text = re.sub(r'name="(width|height)" value="\d+"', r'name="\1" value="40"', text)
-        if name:
-            with open(name[1], "w", encoding="utf-8") as file:
-                file.write(text)
-        mi.set_variant("llvm_ad_rgb")
-        mi.load_string(text)
-    elif block.language == "sh" and live:
-        from mitsuba_bezier.cli.main import main
-
-        for words in commands(text):
-            if words[0] == "mitsuba-bezier" and words[1] != "doctor":  # it starts all variants
-                code = main(small_command(words[1:]))
-                assert code == 0, f"{words} ended with {code}"
-
-
-@pytest.mark.parametrize("page", sorted(set(PAGES) - ELSEWHERE))
+@pytest.mark.parametrize("page", sorted(set(PAGES) - ELSEWHERE - set(LIVE)))
 def test_code_blocks_run(page, variant, tmp_path, monkeypatch):
-    for package in NEEDS.get(page, ()):
-        pytest.importorskip(package)
-    found = blocks(PAGES[page].read_text(encoding="utf-8"))
-    found = [b for b in found if b.language in ("python", "xml") or page in LIVE]
-    if not found:
-        return
     monkeypatch.chdir(tmp_path)  # some write files
-    if "xml" in {block.language for block in found} or page in LIVE:
-        for folder in ("lenses", "models"):  # which scenes name
-            shutil.copytree(ROOT / "scenes" / folder, tmp_path / "scenes" / folder)
-            (tmp_path / folder).symlink_to(tmp_path / "scenes" / folder)
-    namespace: dict[str, Any] = {"__name__": "__docs__"}
-    for block in found:
-        run(block, page, namespace)
+    run_page(page, tmp_path)
 
 
 def test_the_blocks_are_found():
