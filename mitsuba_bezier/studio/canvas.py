@@ -31,6 +31,7 @@ class Canvas:
         self._lines: dict[str, Any] = {}
         self._marks: dict[str, Any] = {}
         self._names: list[Any] = []
+        self._texts: list[str] = []
         self._gizmo: Any = None
         self._gizmo_scale = 0.0
 
@@ -38,7 +39,7 @@ class Canvas:
         """Remove everything."""
         for handle in [*self.balls, *self._lines.values(), *self._marks.values(), *self._names]:
             handle.remove()
-        self.balls, self._lines, self._marks, self._names = [], {}, {}, []
+        self.balls, self._lines, self._marks, self._names, self._texts = [], {}, {}, [], []
         self.gizmo(None, 0.0, None)
 
     def points(
@@ -56,25 +57,29 @@ class Canvas:
             ball.on_drag("left")(dragger(row))
             self.balls.append(ball)
 
-    def place(self, places: list[np.ndarray], chosen: int, names: list[str]) -> None:
-        """Put the points where they are; the chosen one is marked, and `names` are written."""
-        if len(names) != len(self._names):
+    def write(self, notes: list[tuple[str, np.ndarray]]) -> None:
+        """Write names where they belong; all others are removed."""
+        if [text for text, _x in notes] != self._texts:
             for handle in self._names:
                 handle.remove()
+            self._texts = [text for text, _x in notes]
             self._names = [
-                self.scene.add_label(f"/names/{row}", text, position=places[row],
-                                     font_screen_scale=0.85, anchor="bottom-left")
-                for row, text in enumerate(names)
+                self.scene.add_label(f"/names/{k}", text, position=x, font_screen_scale=0.85,
+                                     anchor="bottom-left")
+                for k, (text, x) in enumerate(notes)
             ]  # fmt: skip
+        for handle, (_text, x) in zip(self._names, notes):
+            if not np.array_equal(handle.position, x):
+                handle.position = x
+
+    def place(self, places: list[np.ndarray], chosen: int) -> None:
+        """Put the points where they are; the chosen one is marked."""
         for row, (ball, place) in enumerate(zip(self.balls, places)):
             if not np.array_equal(ball.position, place):
                 ball.position = place
             colour = CHOSEN if row == chosen else POINT
             if tuple(ball.color) != colour:
                 ball.color = colour
-        for handle, place in zip(self._names, places):
-            if not np.array_equal(handle.position, place):
-                handle.position = place
 
     def show(self, front: Front, size: float) -> None:
         """Draw lines and marks; those that are no more are removed."""

@@ -64,20 +64,31 @@ class Drawn:
             self._kept = dict(values), figures.draw(self.name, "screen", **values)
         return self._kept[1]
 
-    def picture(self, width: int, aspect: float) -> np.ndarray:
-        """Return the drawing in a white picture of some proportions, ``(h, w, 3)``."""
+    def picture(self, width: int, aspect: float, free: float = 0.0) -> np.ndarray:
+        """Return the drawing in a white picture of some proportions, ``(h, w, 3)``.
+
+        Parameters
+        ----------
+        width : int
+            Pixels of the longer side.
+        aspect : float
+            Width over height.
+        free : float
+            Part of a wide picture, on the right, that stays white.
+        """
         from PIL import Image
 
         wide = width if aspect >= 1 else max(round(width * aspect), 16)
         high = max(round(wide / aspect), 16)
-        data = self._drawing(self.values).encoded(".png", max(wide, 320))
+        room = round(wide * (1 - min(free, 0.5))) if aspect >= 0.8 else wide
+        data = self._drawing(self.values).encoded(".png", max(room, 320))
         with Image.open(io.BytesIO(data)) as opened:
             drawing = opened.convert("RGB")
-        scale = min(wide / drawing.width, high / drawing.height)
+        scale = min(room / drawing.width, high / drawing.height)
         size = max(round(drawing.width * scale), 1), max(round(drawing.height * scale), 1)
         out = Image.new("RGB", (wide, high), (255, 255, 255))
         # in a high window above, where the controls leave it free
-        corner = (wide - size[0]) // 2, (high - size[1]) // (2 if aspect >= 0.8 else 5)
+        corner = (room - size[0]) // 2, (high - size[1]) // (2 if aspect >= 0.8 else 5)
         out.paste(drawing.resize(size, Image.Resampling.LANCZOS), corner)
         return np.array(out)
 

@@ -24,6 +24,7 @@ Colour = tuple[int, int, int]
 INK, LEGS, SCHEME, TANGENT, REST = (20, 20, 24), (96, 96, 104), (24, 90, 170), (200, 60, 20), (
     130, 100, 160,
 )  # fmt: skip
+FARIN = (30, 150, 70)
 
 #: The eye and the wall of the figure `curve_projection`.
 EYE, WALL = np.array([0, -2.8, 2.7, 1.0]), np.array([0, 1.0, 0, -1.6])
@@ -42,6 +43,8 @@ class Front:
     lines: dict[str, tuple[list[np.ndarray], Colour, float]] = field(default_factory=dict)
     marks: dict[str, tuple[np.ndarray, Colour]] = field(default_factory=dict)
     says: str = ""
+    #: names of what is no control point, and where they are written
+    notes: list[tuple[str, np.ndarray]] = field(default_factory=list)
 
     def draw(self, name: str, pieces: list[np.ndarray], colour: Colour, width: float) -> None:
         """Add polylines."""
@@ -156,7 +159,7 @@ def _curve(
     if "farin" in shows:
         legs = state.net[:-1], state.net[1:]
         if all(a.any() and b.any() and (a + b).any() for a, b in zip(*legs)):
-            out.mark("farin", curve.farin_points(), (250, 250, 250))
+            out.mark("farin", curve.farin_points(), FARIN)
     if "plane" in shows and state.degree > 1:
         level = curve.de_casteljau(t)[-3]
         if not is_ideal(level).any():
@@ -180,6 +183,7 @@ def _curve(
         out.draw("image legs", polygon, LEGS, 1.6)
         out.mark("image", net, TANGENT)
         out.mark("eye", EYE[None], INK)
+        out.notes.append(("S", EYE[:3]))
         y = -WALL[3] / WALL[1]
         wall = np.array([[-4, y, -2], [4, y, -2], [4, y, 3], [-4, y, 3], [-4, y, -2.0]])
         out.draw("wall", [wall], LEGS, 1.2)
@@ -233,6 +237,7 @@ def _triangle(
         s = found.center
         if meets and s is not None and not is_ideal(s):
             out.mark("S", s[None], TANGENT)
+            out.notes.append(("S", s[:3] / s[3]))
             _tangents(out, state, s, 0.3 * reach / REACH)
         out.says = _verdict(found, meets)
 

@@ -18,6 +18,7 @@ from ..geometry.curves import BezierCurve
 from ..io import save
 from .canvas import Canvas
 from .figure import Drawn
+from .front import Front, front_of
 from .picture import FINEST, MODES, Painter
 from .presets import NETS, Preset, drawings
 from .state import State, slider_of, weight_of
@@ -30,6 +31,9 @@ FIRST, STILL = 512, 1024
 
 #: Field of view of browsers, in radians: narrower than viser's own, which bends a net.
 FOV = float(np.radians(40))
+
+#: Pixels across of the controls in a wide window, which a drawing leaves free.
+PANEL = 350
 
 #: Seconds without a change after which the picture is refined.
 REST = 0.3
@@ -131,6 +135,7 @@ class Studio:
         self._shown: dict[int, tuple[Any, ...]] = {}
         self._views: dict[int, Any] = {}
         self._message = ""
+        self.front = Front()
         #: Seconds that first pictures took, the last hundred; for whoever measures.
         self.latencies: list[float] = []
         self._controls()
@@ -275,8 +280,6 @@ class Studio:
         if self.drawn is not None:
             self.canvas.clear()
             return
-        from .front import front_of
-
         t, u, v = (float(handle.value) for handle in self.places)
         if u + v > 0.98:
             u, v = u / (u + v) * 0.98, v / (u + v) * 0.98
@@ -284,8 +287,9 @@ class Studio:
         self.front = front_of(self.state, self.look.shows, t, (u, v))
         self.canvas.show(self.front, self._size())
         labels = [f"b{self.state.name(k)}" for k in range(len(self.state.net))]
-        self.canvas.place(list(self.state.places), self.selected,
-                          labels if self.names.value else [])  # fmt: skip
+        notes = [(text, x) for text, x in zip(labels, self.state.places)] + self.front.notes
+        self.canvas.place(list(self.state.places), self.selected)
+        self.canvas.write(notes if self.names.value else [])
         self.canvas.gizmo(
             self.state.places[self.selected] if self.arrows.value else None,
             0.3 * self._size(),
@@ -365,7 +369,10 @@ class Studio:
         """Look at the net from where it is seen well."""
         with contextlib.suppress(AssertionError):  # a browser that has told no camera yet
             client.camera.fov = FOV
-            eye, at = first_view(self.state.places, self.look.view, self.look.flat, client.camera)
+            around = np.concatenate(
+                [self.state.places, *(x[None] for _text, x in self.front.notes)]
+            )
+            eye, at = first_view(around, self.look.view, self.look.flat, client.camera)
             client.camera.position, client.camera.look_at = tuple(eye), tuple(at)
 
     def _connected(self, client: Any) -> None:
@@ -418,7 +425,9 @@ class Studio:
         if time.monotonic() - self._changed_at < REST:
             return len(self._views) > 1  # others may still have to be served
         if drawn is not None:
-            self._send(client, drawn.picture(STILL, view.aspect), (key, 1), 92)
+            self._send(
+                client, drawn.picture(STILL, view.aspect, PANEL / view.image_width), (key, 1), 92
+            )
             return False
         with self._brush:
             self.painter.show(None if isinstance(shape, BezierCurve) else shape)
@@ -433,7 +442,7 @@ class Studio:
 
     def _first(self, view: Any, shape: Any, drawn: Drawn | None, mode: str) -> np.ndarray:
         if drawn is not None:
-            return drawn.picture(FIRST, view.aspect)
+            return drawn.picture(FIRST, view.aspect, PANEL / view.image_width)
         with self._brush:
             self.painter.show(None if isinstance(shape, BezierCurve) else shape)
             return self.painter.paint(camera_of(view, FIRST), mode)

@@ -136,7 +136,7 @@ PRESETS: dict[str, Preset] = {
     "projective_triangle": Preset(
         lambda: np.array([[-0.9, 2.0, 0, 0], [1.0, 1.9, 0, 0], [0.2, -2.6, 0, 1.0]]),
         "Two control vectors: a quarter of a plane, up to the horizon.",
-        row=2, view=(0.05, -1.3, 0.45),
+        row=2, view=(0.05, -1.3, 0.19),
     ),
     "bernstein_triangle": Preset(
         lambda: _over_triangle(2, [0, 0, 0, 0, 1.15, 0]),
@@ -189,7 +189,7 @@ CURVES: dict[str, Preset] = {
     ),
     "farin": Preset(
         lambda: _wall(CUBIC, [1, 2.0, 0.7, 1]),
-        "Farin points (white) stand for the weights; the scheme goes by cross ratios.",
+        "Farin points (green) stand for the weights; the scheme goes by cross ratios.",
         curve=True, flat=True, shows=("farin", "scheme"), row=1,
     ),
     "conics_by_weight": Preset(
@@ -210,7 +210,7 @@ CURVES: dict[str, Preset] = {
     "curve_projection": Preset(
         lambda: point([[-1.2, -1.0, 1.3], [-0.9, -0.5, 2.2], [0.9, -1.0, 2.2], [1.1, 0.2, 1.0]]),
         "The image on the wall is the curve of the projected control points.",
-        curve=True, shows=("projection",), row=1, view=(1.5, -1.5, 0.5),
+        curve=True, shows=("projection",), row=1, view=(1.5, -1.3, 0.35),
     ),
     "osculating_planes": Preset(
         lambda: point([[-1.3, -0.6, 0], [-0.5, 0.9, 0.2], [0.6, -0.9, 0.9], [1.3, 0.6, 1.3]]),
