@@ -309,7 +309,9 @@ class Canvas:
         self.axes.text(
             0.018, 0.025 if below else 0.975, text, transform=self.axes.transAxes,
             ha="left", va="bottom" if below else "top", linespacing=1.35,
-            path_effects=[effects.withStroke(linewidth=3.0, foreground="white")], **look,
+            path_effects=[effects.withStroke(linewidth=3.0, foreground="white")],
+            bbox={"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.75},
+            **{**look, "zorder": 8.5},
         )  # fmt: skip
 
     # ------------------------------------------------------------------ files

@@ -13,6 +13,7 @@ from ...geometry.curves import BezierCurve
 from ...geometry.polarity import Polarity, line_intersections, polar
 from ...geometry.projective import affine, is_ideal, meet, point
 from ...geometry.tangents import three_tangent_ratios
+from ._arguments import shown
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -35,13 +36,16 @@ def kepler(style: str = "screen", eccentricity: float | None = None) -> Drawing:
         if is_ideal(far):
             d.point([1, 0, 0], "blind focus: ideal", (-14, 12))
         elif abs(far[0] / far[2]) > 1e-6 and d.window.x0 < far[0] / far[2] < d.window.x1:
-            d.point(far, f"$e={e:g}$", (0, -12), kind="second point")
+            d.point(far, f"$e={shown(e)}$", (0, -12), kind="second point")
     d.line([0, 1, 0], kind="thin")
     d.point([0, 0], "$F$", (8, 10), markersize=8.0)
-    d.title(
-        "One focus $F$ stays; the other goes to infinity as $e \\to 1$.\n"
-        "Thick: the parabola, $e=1$. Dashed: a hyperbola, $e=1.35$."
-    )
+    if eccentricity is None:
+        text = "Thick: the parabola, $e=1$. Dashed: a hyperbola, $e=1.35$."
+    else:
+        e = eccentricity
+        kind = "circle" if e == 0 else "ellipse" if e < 1 else "parabola"
+        text = f"Eccentricity $e = {shown(e)}$: {'hyperbola' if e > 1 else kind}."
+    d.title(f"One focus $F$ stays; the other goes to infinity as $e \\to 1$.\n{text}")
     return d
 
 
@@ -118,10 +122,20 @@ def conics_by_weight(style: str = "screen", weight: float | None = None) -> Draw
                 d.curve(BezierCurve(net * [[1], [-1], [1]]), "thin", linewidth=1.0)
         h = arc.evaluate(0.5)
         if abs(h[2]) > 1e-9 and d.window.y0 < h[1] / h[2] < d.window.y1:
-            d.label(h, f"$w={w:g}$", (0, 5), fontsize=11.5)
+            d.label(h, f"$w={shown(w)}$", (0, 5), fontsize=11.5)
     d.polyline(x, "polygon")
     for y, name, way in zip(x, ("$b_0$", "$b_1$", "$b_2$"), ((-10, -6), (12, 2), (10, -6))):
         d.point(y, name, way)
+    if weight is not None:
+        kind = "ellipse" if abs(weight) < 1 else "hyperbola"
+        kind = "parabola" if abs(abs(weight) - 1) < 1e-6 else kind
+        if abs(weight) > 1e4:
+            kind = "two lines"
+        text = f"The middle weight $w = {shown(weight)}$: " + ("line" if weight == 0 else kind)
+        if weight < 0:
+            text += ", its complementary arc"
+        d.title(text + ".\nThin: the rest of the conic.")
+        return d
     d.title(
         "The middle weight $w$: $w<1$ ellipse, $w=1$ parabola, $w>1$ hyperbola, $w=0$ line,\n"
         "$w<0$ the complementary arc (thin, for 0.5 and 2.5; for $-1$ through infinity)."

@@ -15,7 +15,7 @@ from ...geometry.cross_ratio import cross_ratio
 from ...geometry.curves import BezierCurve
 from ...geometry.projective import affine, point
 from ...geometry.splines import BSplineCurve
-from ._arguments import few
+from ._arguments import few, shown
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -73,11 +73,12 @@ def decasteljau(style: str = "screen", t: float = 0.4) -> Drawing:
     """De Casteljau's algorithm: linear interpolation alone."""
     from .. import plane
 
-    d = plane((-0.6, 5.4), (-0.3, 3.075), style)
+    d = plane((-0.8, 5.6), (-0.4, 3.2), style)
     curve = BezierCurve.from_points(CUBIC)
-    d.de_casteljau(curve, t)
+    d.de_casteljau(curve, t, f"$b({shown(t)})$")
     d.curve(curve)
-    d.title(f"Every leg is divided $t : (1-t)$, here $t = {t:g}$; the last leg is the tangent.")
+    text = f"Every leg is divided $t : (1-t)$, here $t = {shown(t)}$"
+    d.title(f"{text}; the last leg is the tangent.")
     return d
 
 
@@ -110,7 +111,7 @@ def bernstein(style: str = "screen", n: int = 3, t: float = 0.4) -> Drawing:
     d.label(
         [t, 0.55], " + ".join(f"{v:.3f}" for v in univariate(n, t)) + " = 1", (0, 4), fontsize=11
     )
-    d.label([t, 0], f"$t={t:g}$", (0, -8))
+    d.label([t, 0], f"$t={shown(t)}$", (0, -8))
     d.label([0, 0.5], "1", (-8, 0))
     d.label([1, 0], "1", (0, -8))
     d.title(
@@ -160,7 +161,7 @@ def weights(style: str = "screen", weight: float | None = None) -> Drawing:
         net[1] *= w
         curve = BezierCurve(net)
         d.curve(curve, "third" if w < 0 else "curve", linewidth=1.6 if w != 1 else 2.6)
-        d.label(curve.evaluate(0.36), f"$w_1={w:g}$", (4, 6), fontsize=10.5)
+        d.label(curve.evaluate(0.36), f"$w_1={shown(w)}$", (4, 6), fontsize=10.5)
         if weight is not None:
             d.farin(curve)
     d.polyline(CUBIC, "polygon")
@@ -179,7 +180,7 @@ def farin(style: str = "screen", t: float = 0.4, weight: float = 2.0) -> Drawing
     d.farin(curve, t)
     d.curve(curve)
     x = curve.evaluate(t)
-    d.point(x, f"$b({t:g})$", (8, -10), markersize=8.0)
+    d.point(x, f"$b({shown(t)})$", (8, -10), markersize=8.0)
     b, q = curve.control_points, curve.farin_points()
     level = curve.de_casteljau(t)[1]
     value = float(cross_ratio(b[0], q[0], level[0], b[1]))
@@ -239,7 +240,8 @@ def spline(style: str = "screen", knot: float = 0.37) -> Drawing:
         d.points(piece.control_points, kind="second point", markersize=4.0)
     d.points(affine(more.control_points), kind="second point", markersize=7.5)
     d.points(curve.control_points, "$d_{}$", offset=(-8, 8))
-    d.title(f"Control points $d_i$; dashed: with the knot {knot:g} inserted; small: Bézier points.")
+    text = f"Control points $d_i$; dashed: with the knot {shown(knot)} inserted"
+    d.title(f"{text}; small: Bézier points.")
     return d
 
 

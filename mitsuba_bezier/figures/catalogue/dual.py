@@ -12,7 +12,7 @@ from ...geometry.developable import DevelopableSurface
 from ...geometry.duality import DualBezierCurve
 from ...geometry.projective import affine
 from ...geometry.unrolling import strip, strip_faces, unrolled
-from ._arguments import few
+from ._arguments import few, shown
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -38,7 +38,7 @@ def dual_curve(style: str = "screen", t: float = 0.42) -> Drawing:
     for line in scheme[-2]:
         d.line(line, kind="construction")
     d.line(scheme[-1][0], kind="tangent")
-    d.point(lines.contact(t), f"$p({t:g})$", (8, 10), markersize=8.0)
+    d.point(lines.contact(t), f"$p({shown(t)})$", (8, 10), markersize=8.0)
     d.title(
         "Control lines $U_i$ in place of points: the last two lines (dashed)\n"
         "of de Casteljau's scheme meet where the line at $t$ touches the envelope."
@@ -146,7 +146,7 @@ def unrolling(style: str = "screen", bend: float = 0.45) -> Drawing:
     """A developable unrolls: lengths and areas stay as it bends into the plane."""
     from .. import space
 
-    camera = Camera(look_at([5.2, 5.4, 3.6], [0.55, 0.6, 0.5], [0, 0, 1]), 34, "x", (1600, 900))
+    camera = Camera(look_at([5.2, 5.4, 3.6], [0.3, 0.86, 0.42], [0, 0, 1]), 23, "x", (1600, 900))
     d = space(camera, style)
     x = strip(DevelopableSurface(PLANES), BOTTOM, TOP, 61)
     y = unrolled(x, bend)

@@ -306,8 +306,10 @@ def quadric_family(style: str = "screen", turn: float = 25.0) -> Drawing:
     """One collineation takes a paraboloid through all oval quadrics."""
     from .. import space
 
-    d = space(_camera((3.4, -6.4, 2.8), (0, 0, 0.95), 52), style)
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    # the poles of the surface are -s/c and c/s: it moves down as it is turned, and comes back
+    middle = 0.95 * (c * c - s * s)
+    d = space(_camera((3.4, -6.4, 1.85 + middle), (0, 0, middle), 54), style)
     # z and w are turned into each other, x^2 + y^2 = z w with them
     m = np.eye(4)
     m[2:, 2:] = [[c, -s], [s, c]]

@@ -10,7 +10,7 @@ from ...geometry import bernstein
 from ...geometry.camera import Camera, look_at
 from ...geometry.projective import point
 from ...geometry.triangles import BezierTriangles
-from ._arguments import few
+from ._arguments import few, shown
 
 if TYPE_CHECKING:
     from .. import Drawing
@@ -106,7 +106,7 @@ def rational_triangle(style: str = "screen", weight: float | None = None) -> Dra
         d.isolines(patch, 3)
         d.boundary(patch)
         d.net(patch)
-        d.point(x[4] + shift, f"$w = {w:g}$", (0, 9))
+        d.point(x[4] + shift, f"$w = {shown(w)}$", (0, 9))
     d.title("The weight of one control point of a quadratic triangle pulls the surface towards it.")
     return d
 
