@@ -48,9 +48,12 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     """
     lane = dr.opaque(types_of(mi.Float).UInt, 0, width) + dr.arange(types_of(mi.Float).UInt, width)
     dr.eval(lane)
-    buffers = {name: getattr(structure, name) for name in RECORDS}
-    buffers["nodes"] = structure.nodes.records
-    names = {buffer.index: name for name, buffer in buffers.items() if buffer is not None}
+    buffers = {name: [getattr(structure, name)] for name in RECORDS}
+    buffers["nodes"] = [structure.nodes.records]
+    for name in ("nets", "far_nets"):
+        # not the rows of nets of high degree, which none of our surfaces has
+        buffers[name] = [bucket.records for bucket in getattr(structure, name)]
+    names = {x.index: name for name, every in buffers.items() for x in every if x is not None}
     counters: dict[str, Any] = {
         n: [dr.zeros(types_of(mi.Float).UInt, width) for _ in range(PLACES)] for n in RECORDS
     }

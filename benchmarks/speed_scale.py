@@ -59,8 +59,8 @@ def _timed_tree() -> Iterator[dict[str, float]]:
 def net_bytes(structure: Structure) -> int:
     """Return the bytes of the nets alone: what any representation of the leaves must keep."""
     return (
-        structure.has(LeafKind.GRAPH_AFFINE) * len(structure.nets) * 4
-        + structure.has(LeafKind.GRAPH_PROJECTIVE) * len(structure.far_nets) * 8
+        structure.has(LeafKind.GRAPH_AFFINE) * sum(b.bytes for b in structure.nets)
+        + structure.has(LeafKind.GRAPH_PROJECTIVE) * sum(b.bytes for b in structure.far_nets)
         + structure.has(LeafKind.PLANE_SECTIONS, *INVERTED_KINDS) * len(structure.polynomials) * 4
     )
 

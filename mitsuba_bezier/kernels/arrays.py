@@ -16,6 +16,7 @@ __all__ = [
     "Types",
     "dot3",
     "gather_packets",
+    "gather_row",
     "inverse_root",
     "reciprocal",
     "types_of",
@@ -110,6 +111,13 @@ def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> l
         values = dr.gather(vector, buffer, index * packets + p, active, shape=shape)
         out.extend(values[i] for i in range(8))
     return out[:count]
+
+
+def gather_row(buffer: Any, row: Any, active: Any = True) -> list[Any]:
+    """Gather four consecutive values at ``4 * row``, in one packet."""
+    vector = _vector_of(dr.leaf_t(buffer))
+    values = dr.gather(vector, buffer, row, active, shape=(4, dr.width(row)))
+    return [values[i] for i in range(4)]
 
 
 def dot3(a: Any, b: Any) -> Any:

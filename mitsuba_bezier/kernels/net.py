@@ -7,9 +7,9 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
-from .arrays import reciprocal
+from .arrays import gather_row, reciprocal, types_of
 
-__all__ = ["graph_point", "horner", "horner_value"]
+__all__ = ["graph_point", "horner", "horner_value", "rolled_horner"]
 
 
 def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], ...]:
@@ -53,18 +53,82 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
     return value, d_du, d_dv
 
 
+def rolled_horner(
+    rows: Any, first: Any, degree: Any, u: Any, v: Any, active: Any
+) -> tuple[list[Any], ...]:
+    """Do what `horner` does with nets in memory, of four components, and each of its own degree.
+
+    The rows are read in the order in which Horner's method wants them: first that of ``u^n``, then
+    the two with ``u^(n-1)``, and so on. So all rays of a packet are in the same of these levels,
+    and those whose nets are of low degree are the first to be done.
+
+    Parameters
+    ----------
+    rows : Float
+        Four numbers a row.
+    first, degree : UInt
+        Number of the first row of a net, and its degree.
+    u, v : Float
+        Their type is that of all arithmetic.
+    active : Bool
+        Which are wanted.
+
+    Returns
+    -------
+    value, d_du, d_dv : lists of four arrays
+    """
+    number, uint = type(u), types_of(u).UInt
+
+    def level(at: Any, row: Any, s: Any, su: Any, sv: Any) -> Any:
+        def step(left: Any, row: Any, r: Any, rv: Any) -> Any:
+            c = gather_row(rows, row, active)
+            rv = [dr.fma(a, v, b) for a, b in zip(rv, r)]
+            r = [dr.fma(a, v, number(b)) for a, b in zip(r, c)]
+            return left - 1, row + 1, r, rv
+
+        _left, row, r, rv = dr.while_loop(
+            (at + 1, row, _zeros(number), _zeros(number)),
+            cond=lambda left, *_: active & (left != 0),
+            body=step,
+            labels=("left", "row", "r", "rv"),
+            label="bezier row",
+        )
+        su = [dr.fma(a, u, b) for a, b in zip(su, s)]
+        s = [dr.fma(a, u, b) for a, b in zip(s, r)]
+        sv = [dr.fma(a, u, b) for a, b in zip(sv, rv)]
+        return at + 1, row, s, su, sv
+
+    _at, _row, s, su, sv = dr.while_loop(
+        (uint(0), first, _zeros(number), _zeros(number), _zeros(number)),
+        cond=lambda at, *_: active & (at <= degree),
+        body=level,
+        labels=("level", "row", "s", "su", "sv"),
+        label="bezier level",
+    )
+    return s, su, sv
+
+
+def _zeros(number: Any) -> list[Any]:
+    return [dr.zeros(number) for _ in range(4)]
+
+
 def graph_point(
-    net: list[Any], n: int, u: Any, v: Any
+    p: list[Any], pu: list[Any], pv: list[Any], u: Any, v: Any
 ) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Any, ...]]:
-    """Evaluate the net of a graph leaf in its chart.
+    """Return a point of a graph leaf in its chart from the values of its net, and partials.
 
     The identity is split off x, y and the weight, which is one where it is not stored.
+
+    Parameters
+    ----------
+    p, pu, pv : lists of three or four numbers
+        As from `horner`.
+    u, v : Float
 
     Returns
     -------
     point, d_du, d_dv : three numbers each
     """
-    p, pu, pv = horner(net, n, u, v)
     x, y, z = u + p[0], v + p[1], p[2]
     xu, xv, yu, yv, zu, zv = 1.0 + pu[0], pv[0], pu[1], 1.0 + pv[1], pu[2], pv[2]
     if len(p) == 4:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from ..geometry import bernstein
 from ..leaves.records import (
-    BENDING_LIMIT,
     CLOSED_FORMS,
     GRAPHS,
     INVERTED_KINDS,
@@ -22,6 +19,8 @@ from ..leaves.records import (
     Leaves,
 )
 from .arrays import types_of, upload
+from .buckets import Bucket, Choice, choose
+from .leaf_nets import build_buckets
 from .nodes import Nodes, build_nodes
 from .quadric_records import (
     axes_records,
@@ -59,16 +58,6 @@ REACH_DIGITS = (4, 3)
 OUTWARD_BITS = (11, 18, 25)
 
 
-@cache
-def net_record(number: type, degree: int, components: int) -> Record:
-    """Return the layout of what marches read: bounds, start values, the coefficients of the net.
-
-    The field `bending` is ``bending + BENDING_LIMIT * size``.
-    """
-    count = bernstein.size(degree) * components
-    return Record(number, variation=(), bending=(), start=(2, 3), net=(count,))
-
-
 @dataclass
 class Structure:
     """All leaves of a scene under one BVH, on the device of one array type.
@@ -83,8 +72,8 @@ class Structure:
     first_group: Any  #: UInt, and of the third
     affine: Any  #: Float32, x `AFFINE`
     projective: Any  #: Float32, x `PROJECTIVE`
-    nets: Any  #: Float32, x `net_record`, of affine leaves
-    far_nets: Any  #: Float64, the same for projective leaves, four components
+    nets: list[Bucket]  #: of affine leaves, in float32
+    far_nets: list[Bucket]  #: of projective leaves, in float64
     groups: Any  #: Float64, x `GROUP`
     axes: Any  #: Float64, x `AXES`: of each group; None if all are those of space
     #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
@@ -97,8 +86,6 @@ class Structure:
     inverses: Any  #: Float64, x `INVERSE`: of each member
     polynomials: Any  #: Float32, x K * 4: P and Q of each member, if some kind has them
     domain: Any  #: Float32, x `DOMAIN`; None where leaves are patches, and of one kind
-    degree: int  #: of `nets`; lower degrees are padded with zero monomials
-    components: int  #: of `nets`: 4, or 3 where all weights are one
     polynomial_degree: int
     graph_count: int  #: affine and projective
     group_count: int
@@ -138,16 +125,6 @@ class Structure:
         """Whether culling may find that a ray certainly meets a leaf, trimmed nowhere."""
         return self.has(LeafKind.GRAPH_AFFINE) and self.trim is None
 
-    @property
-    def degree_record(self) -> Record:
-        """The layout of `nets`."""
-        return net_record(np.float32, self.degree, self.components)
-
-    @property
-    def far_record(self) -> Record:
-        """The layout of `far_nets`."""
-        return net_record(np.float64, self.degree, 4)
-
 
 def build_structure(
     leaves: Leaves,
@@ -171,26 +148,21 @@ def build_structure(
     """
     ty = types_of(like)
     graph, closed = leaves.graph, leaves.closed_form
-    affine, projective, members, group_first, group_size = _order(leaves)
-    graphs = np.concatenate([affine, projective])
+    order = _Order.of(leaves)
+    members, group_first, graphs = order.members, order.group_first, order.graphs
+    near, far = graph.select(order.near), graph.select(order.far)
     owner = None
     if objects is not None:
         of_graphs, of_closed, of_rest = np.split(objects, np.cumsum([len(graph), len(closed)]))
         owner = np.concatenate([of_graphs[graphs], of_closed[members[group_first]], of_rest])
-    nodes = build_nodes(leaf_boxes(leaves), ty, owner, object_count)
-    # polynomial patches have weight one on all leaves, up to rounding of float64
-    rational = bool((np.abs(graph.net[affine, :, 3]) > 1e-12).any())
-    components = 4 if rational else 3
-    degree = bernstein.degree_of(graph.net.shape[1])
+    nodes = build_nodes(_boxes(leaves, order), ty, owner, object_count)
     grouped = closed.select(members)  # by group
     sides = member_sides(grouped)
-    groups = group_records(grouped, group_first, group_size)
+    groups = group_records(grouped, group_first, order.group_size)
     records, has_tables = member_records(grouped, sides, len(graphs))
     arrays = {
-        "affine": _affine_records(graph.select(affine)),
-        "projective": _projective_records(graph.select(projective)),
-        "nets": _nets(graph.select(affine), net_record(np.float32, degree, components)),
-        "far_nets": _nets(graph.select(projective), net_record(np.float64, degree, 4)),
+        "affine": _affine_records(near),
+        "projective": _projective_records(far),
         "members": records,
         "cells": cell_records(grouped, sides, groups),
         "groups": groups,  # now with the numbers of their tables
@@ -206,6 +178,8 @@ def build_structure(
     aspheres = upload_revolutions(leaves.revolution, ty, count, len(graphs) + len(members))
     single = ty.Float is ty.Float32  # as members are
     shared = shared_section(grouped, sides) if single else None
+    nets = build_buckets(near, order.affine, np.float32, ty)
+    far_nets = build_buckets(far, order.projective, np.float64, ty)
     only = None
     if len(group_first) == 1:
         only = [dr.opaque(ty.Float64, float(x)) for x in groups[0]]
@@ -223,16 +197,17 @@ def build_structure(
         only_group=only,
         shared_section=shared and [dr.opaque(ty.Float, x) for x in shared],
         has_tables=has_tables,
-        first_projective=dr.opaque(ty.UInt, len(affine)),
+        nets=nets,
+        far_nets=far_nets,
+        first_projective=dr.opaque(ty.UInt, len(near)),
         first_group=dr.opaque(ty.UInt, len(graphs)),
-        degree=degree,
-        components=components,
         polynomial_degree=polynomial_degree(grouped),
         graph_count=len(graphs),
         group_count=len(group_first),
         by_sides=shared is not None or (single and trims is None and linear),
         leaf_count=len(leaves),
         bytes=sum(a.nbytes for a in arrays.values() if a is not None)
+        + sum(bucket.bytes for bucket in (*nets, *far_nets))
         + nodes.bytes
         + (trims[0].bytes if trims else 0)
         + (aspheres.bytes if aspheres else 0),
@@ -243,24 +218,59 @@ def build_structure(
 
 def leaf_boxes(leaves: Leaves) -> np.ndarray:
     """Return the boxes ``(L, 2, 3)`` of leaves in the order of the structure, one for a group."""
-    affine, projective, members, group_first, _size = _order(leaves)
-    boxes = leaves.graph.box[np.concatenate([affine, projective])]
-    if len(members):
-        box = leaves.closed_form.box[members]
-        low = np.minimum.reduceat(box[:, 0], group_first)
-        high = np.maximum.reduceat(box[:, 1], group_first)
+    return _boxes(leaves, _Order.of(leaves))
+
+
+def _boxes(leaves: Leaves, order: _Order) -> np.ndarray:
+    boxes = leaves.graph.box[order.graphs]
+    if len(order.members):
+        box = leaves.closed_form.box[order.members]
+        low = np.minimum.reduceat(box[:, 0], order.group_first)
+        high = np.maximum.reduceat(box[:, 1], order.group_first)
         boxes = np.concatenate([boxes, np.stack([low, high], axis=1)])
     return np.concatenate([boxes, leaves.revolution.box])
 
 
-def _order(leaves: Leaves) -> tuple[np.ndarray, ...]:
-    """Return which graphs are affine and projective, closed forms by group, and their ranges."""
-    kind = leaves.graph.kind
-    group = leaves.closed_form.group
-    members = np.argsort(group, kind="stable")
-    affine = np.flatnonzero(kind == LeafKind.GRAPH_AFFINE)
-    projective = np.flatnonzero(kind == LeafKind.GRAPH_PROJECTIVE)
-    return affine, projective, members, *ranges(group[members])
+@dataclass(frozen=True)
+class _Order:
+    """In which order leaves are: indices of graphs, and of closed forms."""
+
+    affine: list[Choice]  #: the buckets of their nets, numbers are those among graphs
+    projective: list[Choice]
+    members: np.ndarray  #: by group
+    group_first: np.ndarray  #: where groups begin, and how long they are
+    group_size: np.ndarray
+
+    @staticmethod
+    def of(leaves: Leaves) -> _Order:
+        kind = leaves.graph.kind
+        buckets = []
+        for chart in (LeafKind.GRAPH_AFFINE, LeafKind.GRAPH_PROJECTIVE):
+            those = np.flatnonzero(kind == chart)
+            nets = leaves.graph.nets[those]
+            # polynomial patches have weight one on all leaves, up to rounding of float64
+            weighted = nets.are_weighted() | (chart == LeafKind.GRAPH_PROJECTIVE)
+            chosen = choose(nets.degree, np.where(weighted, 4, 3))
+            buckets.append([replace(c, numbers=those[c.numbers]) for c in chosen])
+        group = leaves.closed_form.group
+        members = np.argsort(group, kind="stable")
+        first, size = ranges(group[members])
+        return _Order(buckets[0], buckets[1], members, first, size)
+
+    @property
+    def near(self) -> np.ndarray:
+        """Affine leaves, by bucket."""
+        return np.concatenate([c.numbers for c in self.affine])
+
+    @property
+    def far(self) -> np.ndarray:
+        """Projective leaves, by bucket."""
+        return np.concatenate([c.numbers for c in self.projective])
+
+    @property
+    def graphs(self) -> np.ndarray:
+        """Both."""
+        return np.concatenate([self.near, self.far])
 
 
 def _at_least_one(a: np.ndarray) -> np.ndarray:
@@ -298,32 +308,6 @@ def _projective_records(leaves: GraphLeaves) -> np.ndarray:
         quadratic=leaves.quadratic,
         outward=leaves.outward.max(axis=1, initial=0.0),
     )
-
-
-def _nets(leaves: GraphLeaves, record: Record) -> np.ndarray:
-    components = record.fields["net"][0] // leaves.net.shape[1]
-    return record.pack(
-        len(leaves),
-        variation=leaves.variation,
-        bending=pack_bending(leaves.bending, leaves.size),
-        start=leaves.start,
-        net=leaves.net[:, :, :components].reshape(len(leaves), *record.fields["net"]),
-    )
-
-
-def pack_bending(bending: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return ``bending + BENDING_LIMIT * size``, rounded up to what float32 can hold.
-
-    Parameters
-    ----------
-    bending : (L,) array
-        At least 0, below `BENDING_LIMIT` where it matters.
-    size : (L,) int array
-        Index of `SIZES`.
-    """
-    # 2^-14: four bits for the size and four in front of the point leave it exact in 24
-    steps = np.ceil(np.minimum(bending, BENDING_LIMIT - 2.0**-14) * 2.0**14)
-    return steps / 2.0**14 + BENDING_LIMIT * size
 
 
 def _cells_of(

@@ -54,6 +54,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..geometry import bernstein
+from .nets import Nets
 
 __all__ = [
     "BENDING_LIMIT",
@@ -181,7 +182,7 @@ def _each(*shape: int, dtype: type = float) -> dict[str, Any]:
     return {"shape": shape, "dtype": dtype}
 
 
-#: Rows of the fields that hold monomials where there are no leaves; `join` pads to the highest.
+#: Rows of the fields that hold polynomials where there are no leaves; `join` pads to the highest.
 _FEWEST = bernstein.size(1)
 
 
@@ -193,10 +194,12 @@ class _Records:
         return len(getattr(self, fields(self)[0].name))
 
     @classmethod
-    def zeros(cls: type[Some], count: int = 0, **known: np.ndarray) -> Some:
+    def zeros(cls: type[Some], count: int = 0, **known: Any) -> Some:
         """Return `count` leaves of which some arrays are known; the others are zero."""
         arrays = {
-            f.name: np.zeros((count, *f.metadata["shape"]), f.metadata["dtype"])
+            f.name: Nets.zeros(count)
+            if f.metadata["dtype"] is Nets
+            else np.zeros((count, *f.metadata["shape"]), f.metadata["dtype"])
             for f in fields(cls)
             if f.name not in known
         }
@@ -208,10 +211,14 @@ class _Records:
 
     @classmethod
     def join(cls: type[Some], parts: list[Some]) -> Some:
-        """Concatenate; nets are padded to the highest degree with zero monomials."""
-        out = {}
+        """Concatenate; polynomials are padded to the highest degree with zero monomials."""
+        out: dict[str, Any] = {}
         for f in fields(cls):
             arrays = [getattr(p, f.name) for p in parts if len(p)]
+            if f.metadata["dtype"] is Nets:
+                if arrays:
+                    out[f.name] = Nets.join(arrays)
+                continue
             if f.metadata["shape"] == (_FEWEST, 4) and arrays:
                 top = max(a.shape[1] for a in arrays)
                 arrays = [_pad(a, top) for a in arrays]
@@ -240,11 +247,16 @@ class GraphLeaves(_Records):
     start: np.ndarray = field(metadata=_each(2, 3))  #: quadratics that take (x, y) near to (u, v)
     outward: np.ndarray = field(metadata=_each(3))
     inward: np.ndarray = field(metadata=_each(3))
-    net: np.ndarray = field(metadata=_each(_FEWEST, 4))  #: (K, 4) monomial (x - u, y - v, z, W - 1)
+    nets: Nets = field(metadata=_each(dtype=Nets))  #: monomial (x - u, y - v, z, W - 1)
     box: np.ndarray = field(metadata=_each(2, 3))  #: axis-aligned bounds, possibly infinite
     certified: np.ndarray = field(
         metadata=_each(dtype=bool)
     )  #: the leaf is the surface, and its bounds hold
+
+    @property
+    def net(self) -> np.ndarray:
+        """The nets as one array ``(L, K, 4)``, padded to the highest degree."""
+        return self.nets.padded()
 
     @property
     def kind(self) -> np.ndarray:

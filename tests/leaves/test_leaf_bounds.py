@@ -8,7 +8,7 @@ import pytest
 import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein, shapes
 from mitsuba_bezier.geometry.covers import quadric_cover, ruled_cover
-from mitsuba_bezier.kernels.structure import pack_bending
+from mitsuba_bezier.kernels.leaf_nets import pack_bending
 from mitsuba_bezier.leaves.builder import build_leaves
 from mitsuba_bezier.leaves.graph import bounds as leaf_bounds
 from mitsuba_bezier.leaves.graph import cover as leaf_cover

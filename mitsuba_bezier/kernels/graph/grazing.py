@@ -7,16 +7,18 @@ leaves only.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 
-from ..net import graph_point
+from ..buckets import Bucket
+from ..leaf_nets import gather_net
 from ..query import Query, Rays
 from ..structure import AFFINE
 from .chart import affine_rays
 
-__all__ = ["polish"]
+__all__ = ["LeafPlace", "polish"]
 
 #: Hits are polished if the ray would come nearer to the surface by less than this, in leaf sizes,
 #: on its whole way: 1e-7 of a leaf is then more than 1e-6 of the way.
@@ -26,11 +28,23 @@ _GRAZING = 0.1
 _SHARE = 0.1
 
 
-def polish(query: Query, leaf: Any, base: Any, rays: Rays, best: Any) -> tuple[Any, Any, Any]:
+@dataclass(frozen=True)
+class LeafPlace:
+    """Where an affine leaf is."""
+
+    leaf: Any  #: UInt, its number
+    bucket: Bucket  #: of its net
+    number: Any  #: UInt, the net's
+
+
+def polish(
+    query: Query, place: LeafPlace, base: Any, rays: Rays, best: Any
+) -> tuple[Any, Any, Any]:
     """Do a step of Newton's method from hits in affine leaves, where they are grazing.
 
     Parameters
     ----------
+    place : LeafPlace
     base : Float64
         Ray parameter of a point near the leaf, see `chart.ChartLine`.
     best : march.Best
@@ -42,14 +56,14 @@ def polish(query: Query, leaf: Any, base: Any, rays: Rays, best: Any) -> tuple[A
     """
     s, ty = query.s, query.ty
 
-    def step(t: Any, u: Any, v: Any, closing: Any, leaf: Any, base: Any) -> Any:
+    def step(t: Any, u: Any, v: Any, closing: Any, leaf: Any, number: Any, base: Any) -> Any:
         f64 = ty.Float64
         record = AFFINE.gather(s.affine, leaf, best.hit)
-        net = [f64(x) for x in s.degree_record.gather(s.nets, leaf, best.hit).net]
+        net = gather_net(place.bucket, number, best.hit)
         there = affine_rays(ty, record, base, rays, wide=True)
         (x0, y0, z0), (ex, ey, ez) = there.x0, there.e
         u64, v64, tau = f64(u), f64(v), f64(t) - base
-        (x, y, z), (xu, yu, zu), (xv, yv, zv) = graph_point(net, s.degree, u64, v64)
+        (x, y, z), (xu, yu, zu), (xv, yv, zv) = net.point(u64, v64, best.hit)
         # from the ray to the surface, and what the ray is in the tangent plane's coordinates
         rx, ry, rz = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y, dr.fma(tau, ez, z0) - z
         idet = 1.0 / dr.fma(xu, yv, -xv * yu)
@@ -67,7 +81,7 @@ def polish(query: Query, leaf: Any, base: Any, rays: Rays, best: Any) -> tuple[A
         )
 
     return dr.if_stmt(
-        args=(best.t, best.u, best.v, best.closing, leaf, base),
+        args=(best.t, best.u, best.v, best.closing, place.leaf, place.number, base),
         cond=best.hit & (best.closing * best.t < _GRAZING),
         true_fn=step,
         false_fn=lambda t, u, v, *_: (t, u, v),

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 from typing import Any
 
 import drjit as dr
 
 from ...leaves.records import BENDING_LIMIT, SIZES, LeafKind
 from ..arrays import inverse_root, reciprocal, types_of
+from ..buckets import Bucket, by_bucket
 from ..edges import edge_tolerance
-from ..net import graph_point
+from ..leaf_nets import LeafNet, gather_net
 from ..query import Found, Query, Rays
 from ..structure import AFFINE, PROJECTIVE
 from ..trim import leaf_test
@@ -27,7 +27,7 @@ from .chart import (
     projective_rays,
     root_fraction,
 )
-from .grazing import polish
+from .grazing import LeafPlace, polish
 
 __all__ = ["march"]
 
@@ -60,34 +60,46 @@ def march(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> 
 
 def _march_affine(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
     s, ty = query.s, query.ty
-    record = AFFINE.gather(s.affine, leaf, active)
-    net = s.degree_record.gather(s.nets, leaf, active)
-    there = affine_rays(ty, record, line.base, rays)
-    surface = _Surface(s.degree, net, affine_quadratic(ty, record), leaf_test(s, leaf))
-    best = _March(surface, there, line, LAST_STEP).run(rays.t_max, active)
-    if query.any_hit:
-        return Found(best.hit, best.t, best.u, best.v, leaf)
-    return Found(best.hit, *polish(query, leaf, line.base, rays, best), leaf)
+
+    def task(
+        bucket: Bucket, number: Any, leaf: Any, line: ChartLine, rays: Rays, active: Any
+    ) -> Found:
+        record = AFFINE.gather(s.affine, leaf, active)
+        net = gather_net(bucket, number, active)
+        there = affine_rays(ty, record, line.base, rays)
+        surface = _Surface(net, affine_quadratic(ty, record), leaf_test(s, leaf))
+        best = _March(surface, there, line, LAST_STEP).run(rays.t_max, active)
+        if query.any_hit:
+            return Found(best.hit, best.t, best.u, best.v, leaf)
+        place = LeafPlace(leaf, bucket, number)
+        return Found(best.hit, *polish(query, place, line.base, rays, best), leaf)
+
+    return by_bucket(s.nets, leaf, (leaf, line, rays, active), task)
 
 
 def _march_projective(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
     """March in float64: distances to the plane at infinity are differences of numbers near one."""
     s, ty = query.s, query.ty
+
+    def task(
+        bucket: Bucket, number: Any, leaf: Any, line: ChartLine, rays: Rays, active: Any
+    ) -> Found:
+        record = PROJECTIVE.gather(s.projective, leaf - s.first_projective, active)
+        net = gather_net(bucket, number, active)
+        there = projective_rays(ty, record, rays)
+        surface = _Surface(net, record.quadratic, leaf_test(s, leaf))
+        best = _March(surface, there, line, LAST_STEP_PROJECTIVE).run(rays.t_max, active)
+        return Found(best.hit, best.t, ty.Float(best.u), ty.Float(best.v), leaf)
+
     number = leaf - s.first_projective
-    record = PROJECTIVE.gather(s.projective, number, active)
-    net = s.far_record.gather(s.far_nets, number, active)
-    there = projective_rays(ty, record, rays)
-    surface = _Surface(s.degree, net, record.quadratic, leaf_test(s, leaf))
-    best = _March(surface, there, line, LAST_STEP_PROJECTIVE).run(rays.t_max, active)
-    return Found(best.hit, best.t, ty.Float(best.u), ty.Float(best.v), leaf)
+    return by_bucket(s.far_nets, number, (leaf, line, rays, active), task)
 
 
 @dataclass(frozen=True)
 class _Surface:
     """A leaf in its chart."""
 
-    degree: int
-    net: SimpleNamespace  #: see `structure.net_record`
+    net: LeafNet
     quadratic: list[Any]  #: a, b, c
     kept: Callable[..., Any] | None  #: returns a mask of roots that are not trimmed away
 
@@ -213,7 +225,7 @@ class _March:
         (x0, y0, z0), (ex, ey, ez) = self.there.x0, self.there.e
         (a, b, c), last_step, gamma = self.quadratic, self.last_step, self.gamma
         tau, u, v, sign = place.tau, place.u, place.v, place.sign
-        point, d_du, d_dv = graph_point(self.surface.net.net, self.surface.degree, u, v)
+        point, d_du, d_dv = self.surface.net.point(u, v, go)
         (x, y, z), (xu, yu, zu), (xv, yv, zv) = point, d_du, d_dv
         idet = reciprocal(dr.fma(xu, yv, -xv * yu))
         rx, ry = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y

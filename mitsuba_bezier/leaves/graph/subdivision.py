@@ -10,6 +10,7 @@ import numpy as np
 from ...geometry import bernstein
 from ...geometry.linear import inverses
 from ...geometry.triangles import BezierTriangles
+from ..nets import Nets
 from ..records import BENDING_LIMIT, GraphLeaves, LeafSettings, round_reach, weight_signs
 from .bounds import leaf_bounds
 from .collapsed_edges import collapsed_edge, fan, strips
@@ -364,7 +365,7 @@ def _fit_charts(
         domain=domain * moebius[:, None, :],
         shift=shift,
         chart=frame,
-        net=bernstein.monomial_matrix(n) @ deviation,
+        nets=Nets.of(bernstein.monomial_matrix(n) @ deviation),
         box=BezierTriangles(nets).hulls(),
         certified=good.copy(),
         **proved,

@@ -1,0 +1,118 @@
+"""Nets in buckets of their degree, so that what is of low degree does not pay for what is of high.
+
+A bucket of low degree has code of its own: its nets are raised to that degree, and a net is read as
+a whole. The last one may be of any degree: its nets are read row by row (`net.rolled_horner`), and
+the code is the same for all. Compiling takes as long as there are buckets, so there are few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..geometry import bernstein
+
+__all__ = ["UNROLLED", "Bucket", "Choice", "Rows", "by_bucket", "choose"]
+
+#: Up to this degree a net may have code of its own.
+UNROLLED = 10
+#: A second bucket with code of its own has to save this share of the numbers in all nets.
+_WORTH = 0.05
+
+
+@dataclass
+class Bucket:
+    """Nets that share their code."""
+
+    degree: int | None  #: None: each has its own
+    components: int  #: 4, or 3 where all weights are one
+    first: Any  #: UInt, number of its first net, opaque; None: 0
+    records: Any  #: what there is for each net
+    by_rows: Rows | None = None  #: the nets, if `records` do not have them
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all."""
+        rows = self.by_rows
+        arrays = [self.records, *([rows.rows, rows.first, rows.degree] if rows else [])]
+        return sum(dr.width(x) * dr.itemsize_v(x) for x in arrays)
+
+
+@dataclass
+class Rows:
+    """Nets of any degree, that are read row by row."""
+
+    rows: Any  #: Float, four numbers a row
+    first: Any  #: UInt, the first row of each net
+    degree: Any  #: UInt, of each net
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which nets are to share their code."""
+
+    degree: int | None  #: None: each keeps its own
+    components: int
+    numbers: np.ndarray  #: of the nets, rising
+
+
+def choose(degree: np.ndarray, components: np.ndarray) -> list[Choice]:
+    """Choose buckets for nets that have these degrees, and 3 or 4 components.
+
+    Returns
+    -------
+    list of Choice
+        At least one, which is empty if there are no nets.
+    """
+    low = np.flatnonzero(degree <= UNROLLED)
+    high = np.flatnonzero(degree > UNROLLED)
+    numbers = (degree[low] + 1) * (degree[low] + 2) // 2 * components[low]
+    order = np.argsort(numbers, kind="stable")
+    cuts = np.flatnonzero(np.diff(numbers[order])) + 1
+    least, parts = (1 - _WORTH) * _cost(degree, components, [low]), [low]
+    for cut in cuts.tolist():
+        two = [low[np.sort(order[:cut])], low[np.sort(order[cut:])]]
+        cost = _cost(degree, components, two)
+        if cost < least:
+            least, parts = cost, two
+    out = [
+        Choice(int(degree[part].max()), int(components[part].max()), part)
+        for part in parts
+        if len(part)
+    ]
+    if len(high):
+        out.append(Choice(None, 4, high))
+    return out or [Choice(1, 3, low)]
+
+
+def _cost(degree: np.ndarray, components: np.ndarray, parts: list[np.ndarray]) -> int:
+    """Return how many numbers there are in nets, if these share their degree and components."""
+    return sum(
+        len(part) * bernstein.size(int(degree[part].max())) * int(components[part].max())
+        for part in parts
+        if len(part)
+    )
+
+
+def by_bucket(
+    buckets: list[Bucket], number: Any, args: tuple[Any, ...], task: Callable[..., Any]
+) -> Any:
+    """Call ``task(bucket, number in it, *args)`` for the bucket of each net, by its number."""
+    bucket, others = buckets[0], buckets[1:]
+
+    def here(number: Any, *args: Any) -> Any:
+        return task(bucket, number if bucket.first is None else number - bucket.first, *args)
+
+    if not others:
+        return here(number, *args)
+    return dr.if_stmt(
+        args=(number, *args),
+        cond=number < others[0].first,
+        true_fn=here,
+        false_fn=lambda number, *args: by_bucket(others, number, args, task),
+        label="bezier bucket",
+    )

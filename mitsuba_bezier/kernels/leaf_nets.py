@@ -1,0 +1,144 @@
+"""Nets of graph leaves on the device, and what marches read beside them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from ..geometry import bernstein
+from ..leaves.records import BENDING_LIMIT, GraphLeaves
+from .arrays import Types, upload
+from .buckets import Bucket, Choice, Rows
+from .net import graph_point, horner, rolled_horner
+from .records import Record
+
+__all__ = ["LeafNet", "build_buckets", "gather_net", "pack_bending"]
+
+
+@cache
+def net_record(number: type, degree: int | None, components: int) -> Record:
+    """Return the layout of what marches read: bounds, start values, the coefficients of the net.
+
+    These are elsewhere if the degree is None. The field `bending` is ``bending + BENDING_LIMIT *
+    size``.
+    """
+    net = {} if degree is None else {"net": (bernstein.size(degree) * components,)}
+    return Record(number, variation=(), bending=(), start=(2, 3), **net)
+
+
+def build_buckets(
+    leaves: GraphLeaves, choices: list[Choice], number: type, ty: Types
+) -> list[Bucket]:
+    """Upload leaves that are in the order of their buckets.
+
+    Parameters
+    ----------
+    number : type
+        ``np.float32`` or ``np.float64``: what nets are stored in.
+    """
+    out, first = [], 0
+    floats = ty.Float64 if number is np.float64 else ty.Float32
+    for choice in choices:
+        those = leaves.select(np.arange(first, first + len(choice.numbers)))
+        fields: dict[str, Any] = {
+            "variation": those.variation,
+            "bending": pack_bending(those.bending, those.size),
+            "start": those.start,
+        }
+        record = net_record(number, choice.degree, choice.components)
+        rows = None
+        if choice.degree is None:
+            nets = those.nets
+            rows = Rows(
+                rows=upload(floats, nets.rows.astype(number)),
+                first=upload(ty.UInt, nets.first.astype(np.uint32)),
+                degree=upload(ty.UInt, nets.degree.astype(np.uint32)),
+            )
+        else:
+            padded = those.nets.padded(choice.degree)[:, :, : choice.components]
+            fields["net"] = padded.reshape(len(those), *record.fields["net"])
+        values = record.pack(len(those), **fields)
+        if not len(values):
+            values = np.zeros((1, record.size), number)
+        out.append(
+            Bucket(
+                degree=choice.degree,
+                components=choice.components,
+                first=dr.opaque(ty.UInt, first) if first else None,
+                records=upload(floats, values),
+                by_rows=rows,
+            )
+        )
+        first += len(choice.numbers)
+    return out
+
+
+class LeafNet:
+    """What a march knows of a leaf's net."""
+
+    def __init__(self, record: Any) -> None:
+        self.variation, self.bending, self.start = record.variation, record.bending, record.start
+
+    def point(self, u: Any, v: Any, active: Any) -> tuple[tuple[Any, ...], ...]:
+        """Return the point in the chart and its partials; see `net.graph_point`."""
+        raise NotImplementedError
+
+
+class _Whole(LeafNet):
+    """A net that was read as a whole."""
+
+    def __init__(self, record: Any, degree: int) -> None:
+        super().__init__(record)
+        self.net, self.degree = record.net, degree
+
+    def point(self, u: Any, v: Any, active: Any) -> tuple[tuple[Any, ...], ...]:
+        number = type(u)
+        net = self.net
+        if number is dr.float64_array_t(number):
+            net = [number(x) for x in net]
+        p, pu, pv = horner(net, self.degree, u, v)
+        return graph_point(p, pu, pv, u, v)
+
+
+class _ByRows(LeafNet):
+    """A net that is read row by row, each time."""
+
+    def __init__(self, record: Any, nets: Rows, number: Any, active: Any) -> None:
+        super().__init__(record)
+        self.rows = nets.rows
+        self.first, self.degree = (
+            dr.gather(type(x), x, number, active) for x in (nets.first, nets.degree)
+        )
+
+    def point(self, u: Any, v: Any, active: Any) -> tuple[tuple[Any, ...], ...]:
+        p, pu, pv = rolled_horner(self.rows, self.first, self.degree, u, v, active)
+        return graph_point(p, pu, pv, u, v)
+
+
+def gather_net(bucket: Bucket, number: Any, active: Any) -> LeafNet:
+    """Gather nets by their numbers in a bucket, or where they are."""
+    wide = dr.type_v(bucket.records) == dr.VarType.Float64
+    layout = net_record(np.float64 if wide else np.float32, bucket.degree, bucket.components)
+    record = layout.gather(bucket.records, number, active)
+    if bucket.degree is not None:
+        return _Whole(record, bucket.degree)
+    assert bucket.by_rows is not None
+    return _ByRows(record, bucket.by_rows, number, active)
+
+
+def pack_bending(bending: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return ``bending + BENDING_LIMIT * size``, rounded up to what float32 can hold.
+
+    Parameters
+    ----------
+    bending : (L,) array
+        At least 0, below `BENDING_LIMIT` where it matters.
+    size : (L,) int array
+        Index of `SIZES`.
+    """
+    # 2^-14: four bits for the size and four in front of the point leave it exact in 24
+    steps = np.ceil(np.minimum(bending, BENDING_LIMIT - 2.0**-14) * 2.0**14)
+    return steps / 2.0**14 + BENDING_LIMIT * size
