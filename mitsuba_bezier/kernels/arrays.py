@@ -88,16 +88,20 @@ def upload(array_type: Any, values: np.ndarray) -> Any:
     return result
 
 
-def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> list[Any]:
-    """Gather `count` consecutive values at ``index * stride``, in packets of at most eight.
+def gather_packets(
+    buffer: Any, index: Any, count: int, active: Any = True, stride: int | None = None
+) -> list[Any]:
+    """Gather `count` consecutive values of a record, in packets of at most eight.
 
     Parameters
     ----------
     buffer : flat array, a whole number of packets long
     index : UInt
-        Index of the record, in units of the record's padded length.
+        Index of the record.
     count : int
         Number of values wanted.
+    stride : int, optional
+        Packets from one record to the next; as many as hold `count` values if not given.
 
     Returns
     -------
@@ -105,10 +109,11 @@ def gather_packets(buffer: Any, index: Any, count: int, active: Any = True) -> l
     """
     vector = _vector_of(dr.leaf_t(buffer))
     packets = -(-count // 8)
+    stride = packets if stride is None else stride
     out: list[Any] = []
     for p in range(packets):
         shape = (8, dr.width(index))
-        values = dr.gather(vector, buffer, index * packets + p, active, shape=shape)
+        values = dr.gather(vector, buffer, index * stride + p, active, shape=shape)
         out.extend(values[i] for i in range(8))
     return out[:count]
 

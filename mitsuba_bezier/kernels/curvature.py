@@ -10,7 +10,7 @@ from ..geometry import bernstein
 from .arrays import gather_packets, reciprocal
 from .patch import affine_partials, bernstein_basis
 
-__all__ = ["affine_second_partials", "evaluate_second"]
+__all__ = ["affine_second_partials", "evaluate_second", "second_of_net"]
 
 #: Second differences by uu, uv, vv of the points q_200, q_110, q_101, q_020, q_011, q_002.
 _SECOND = ((1, 0, -2, 0, 0, 1), (0, 1, -1, 0, -1, 1), (0, 0, 0, 1, -2, 1))
@@ -41,8 +41,13 @@ def evaluate_second(
     -------
     value, d_du, d_dv, d_duu, d_duv, d_dvv : lists of 4 Float
     """
+    return second_of_net(gather_packets(buffer, patch, bernstein.size(n) * 4, active), n, u, v)
+
+
+def second_of_net(net: list[Any], n: int, u: Any, v: Any) -> list[list[Any]]:
+    """Evaluate nets whose numbers are at hand; see `evaluate_second`."""
     number = type(u)
-    net = [number(x) for x in gather_packets(buffer, patch, bernstein.size(n) * 4, active)]
+    net = [number(x) for x in net]
     w = 1.0 - u - v
     if n == 1:
         rows = [[net[4 * r + a] for a in range(4)] for r in range(3)]

@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry import bernstein
 from .arrays import reciprocal
 
-__all__ = ["affine_partials", "bernstein_basis", "pack", "padded_width"]
+__all__ = ["affine_partials", "bernstein_basis", "pack", "padded_width", "scaled"]
 
 
 def padded_width(n: int) -> int:
@@ -59,3 +59,8 @@ def pack(nets: np.ndarray) -> np.ndarray:
     out = np.zeros((len(nets), padded_width(bernstein.degree_of(nets.shape[1]))))
     out[:, : nets.shape[1] * 4] = nets.reshape(len(nets), -1)
     return out
+
+
+def scaled(nets: np.ndarray) -> np.ndarray:
+    """Return nets ``(P, K, 4)`` times their multinomials, as `rolled_partials` reads them."""
+    return nets * bernstein.multinomials(bernstein.degree_of(nets.shape[1]))[:, None]

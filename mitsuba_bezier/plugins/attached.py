@@ -50,13 +50,12 @@ def attached_tables(tables: Any, shapes: list[Any]) -> Any:
             "calls (or through an integrator); got them inside of one"
         )
     nets = mi.Float(dr.detach(tables.nets))
-    width = padded_width(tables.degree)
     first = 0
-    for shape in shapes:
+    for shape, (degree, row) in zip(shapes, tables.layout.shapes):
         count = shape.control_points.shape[0]
         if is_attached(shape):
-            values = _packed(shape, tables, first)
-            dr.scatter(nets, values, dr.arange(mi.UInt32, count * width) + first * width)
+            values = _packed(shape, tables, first, degree, 4 * row)
+            dr.scatter(nets, values, dr.arange(mi.UInt32, dr.width(values)) + 4 * row)
         first += count
     projections = tables.projections
     if projections is not None:
@@ -68,9 +67,18 @@ def attached_tables(tables: Any, shapes: list[Any]) -> Any:
     return replace(tables, nets=nets, projections=projections, aspheres=aspheres)
 
 
-def _packed(shape: Any, tables: Any, first: int) -> Any:
-    """Return the nets of a shape as `tables` have them, from its number `first` on."""
-    degree = tables.degree
+def _packed(shape: Any, tables: Any, first: int, degree: int | None, place: int) -> Any:
+    """Return the nets of a shape as `tables` have them.
+
+    Parameters
+    ----------
+    first : int
+        The number of its first patch.
+    degree : int or None
+        In which its nets are stored.
+    place : int
+        Where they are.
+    """
     count, rows, _four = shape.control_points.shape
     index = dr.arange(mi.UInt32, count * rows) * 4
     flat = shape.control_points.array
@@ -90,11 +98,11 @@ def _packed(shape: Any, tables: Any, first: int) -> Any:
     # nets are free of a common factor there: one weight tells it
     heavy = 4 * tables.heaviest(first + patch) + 3
     mine = dr.gather(mi.Float, dr.detach(result), patch * slots + heavy)
-    theirs = dr.gather(mi.Float, dr.detach(tables.nets), (first + patch) * slots + heavy)
+    theirs = dr.gather(mi.Float, dr.detach(tables.nets), place + patch * slots + heavy)
     return result * dr.select(mine != 0, theirs / mine, 1)
 
 
-def _on_device(shape: Any, n: int, degree: int) -> list[tuple[Any, Any]]:
+def _on_device(shape: Any, n: int, degree: int | None) -> list[tuple[Any, Any]]:
     """Return what `_elevation` does, uploaded; shapes keep it, where frozen functions find it."""
     key = f"{n} {degree}"
     if key not in shape.elevations:
@@ -106,15 +114,19 @@ def _on_device(shape: Any, n: int, degree: int) -> list[tuple[Any, Any]]:
 
 
 @cache
-def _elevation(n: int, degree: int) -> tuple[np.ndarray, np.ndarray]:
+def _elevation(n: int, degree: int | None) -> tuple[np.ndarray, np.ndarray]:
     """Return degree elevation as a sparse matrix from a flat net to a padded one.
+
+    Without a degree the net is not elevated but scaled (`kernels.patch.scaled`).
 
     Returns
     -------
-    source, weight : (T, padded_width(degree)) arrays
+    source, weight : (T, width) arrays
         Slot `k` is the sum of ``weight[t, k]`` times number ``source[t, k]`` of the net.
     """
     matrix = np.eye(bernstein.size(n))
+    if degree is None:
+        degree, matrix = n, np.diag(bernstein.multinomials(n))
     for m in range(n, degree):
         matrix = bernstein.elevation_matrix(m) @ matrix
     full = np.zeros((padded_width(degree), bernstein.size(n) * 4))

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from ..kernels.curvature import affine_second_partials, evaluate_second
+from ..kernels.curvature import affine_second_partials
 from ..kernels.patch import affine_partials
+from ..kernels.patch_nets import Layout
 from .offsets import position_error
 
 _XYZ = range(3)
@@ -141,14 +142,11 @@ class Jet:
 
 @dataclass
 class PatchTables:
-    """What is known of the patches of a list of shapes, numbered through.
+    """What is known of the patches of a list of shapes, numbered through."""
 
-    Patches have the same degree, lower ones are elevated.
-    """
-
-    nets: Any  #: Float, rows of `kernels.patch.pack`, of nets of `leaves.local_nets`
+    nets: Any  #: Float, nets of `leaves.local_nets`, stored as `layout` says
     origins: Any  #: Float, four a patch, as there
-    degree: int
+    layout: Layout
     shape_of: Any  #: UInt, number of the shape of each patch
     orientation: Any  #: Float per shape, the sign of the normal along dp_du x dp_dv
     texcoords: Any = None  #: Float, six a patch (uv at A, B, C), or None: uv is (u, v)
@@ -168,8 +166,8 @@ class PatchTables:
         return mi.Point3f(mi.Vector3d(point) - mi.Vector3d(self.origin(patch, active)))
 
     def second(self, patch: Any, u: Any, v: Any, active: Any) -> list[list[Any]]:
-        """Return homogeneous points and partials, see `evaluate_second`, from the origins."""
-        h = evaluate_second(self.nets, self.degree, patch, u, v, active)
+        """Return homogeneous points and partials, see `Layout.second`, from the origins."""
+        h = self.layout.second(self.nets, patch, u, v, active)
         return h if self.aspheres is None else self.aspheres.lifted(h, patch, u, v, active)
 
     @property

@@ -19,7 +19,8 @@ from ..geometry.contours import open_edges
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
-from ..kernels.patch import pack
+from ..kernels.patch import pack, scaled
+from ..kernels.patch_nets import lay_out
 from ..kernels.query import Hit
 from ..kernels.structure import Structure, build_structure
 from ..kernels.trim_table import TrimTable, build_table
@@ -105,17 +106,19 @@ class SceneData:
         self.structure: Structure | None = None
         self.instances: InstanceTables | None = None
         self._build(leaves, np.array(patch_shape)[leaves.patch], table)
-        degree = max(shape.patches.degree for shape in shapes)
-        nets = [
-            local_nets(s.patches.elevate(degree - s.patches.degree).control_points) for s in shapes
-        ]
+        layout = lay_out([(s.patches.degree, len(s.patches)) for s in shapes], mi.Float)
+        nets = []
+        for shape, (degree, _first) in zip(shapes, layout.shapes):
+            own = shape.patches.degree
+            net, origin = local_nets(shape.patches.elevate((degree or own) - own).control_points)
+            nets.append((pack(net if degree else scaled(net)).ravel(), origin))
         self.patch_shape = upload(mi.UInt32, np.array(patch_shape))
         self.patch_first = upload(mi.UInt32, np.array(patch_first))
         #: What the patches are, for `interaction`.
         self.tables = PatchTables(
-            nets=upload(mi.Float, np.concatenate([pack(net) for net, _origin in nets])),
+            nets=upload(mi.Float, np.concatenate([net for net, _origin in nets])),
             origins=upload(mi.Float, np.concatenate([origin for _net, origin in nets])),
-            degree=degree,
+            layout=layout,
             shape_of=self.patch_shape,
             orientation=upload(mi.Float, np.array([s.orientation for s in shapes])),
             texcoords=_texcoords(shapes),

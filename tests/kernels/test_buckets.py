@@ -126,6 +126,8 @@ def test_a_few_of_high_degree_leave_the_others_alone():
     assert chosen((4, 3, 1000), (16, 4, 3)) == [(4, 3, 1000), (None, 4, 3)]
     assert chosen((4, 3, 1000), (8, 4, 3)) == [(4, 3, 1000), (8, 4, 3)]
     assert chosen((4, 4, 3), (4, 3, 1000)) == [(4, 3, 1000), (4, 4, 3)]
+    # as leaves of one patch with weights are
+    assert chosen((4, 4, 300), (4, 3, 1000)) == [(4, 4, 1300)]
 
 
 def test_few_buckets_of_many_degrees():
