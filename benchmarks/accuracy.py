@@ -22,6 +22,7 @@ import mitsuba_bezier  # before anything imports Dr.Jit
 
 sys.path.insert(0, str(Path(__file__).parent))  # for a caller that is not in this folder
 
+import accuracy_aspheres
 import accuracy_mitsuba
 import accuracy_points
 import accuracy_rows
@@ -37,6 +38,7 @@ ROWS = {
     "sectors": accuracy_rows.sectors,
     "random": accuracy_rows.random_triangles,
     "models": accuracy_rows.models,
+    "aspheres": accuracy_aspheres.aspheres,
     "infinity": accuracy_rows.infinity,
     "leaving": accuracy_mitsuba.leaving,
     "points": accuracy_points.points,

@@ -9,10 +9,13 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from accuracy_aspheres import asphere_parameters
 from accuracy_rows import scaled
 from accuracy_tools import Line, describe, toward, unit
 
 import mitsuba_bezier as mb
+from mitsuba_bezier.geometry.aspheres import EvenAsphere
+from mitsuba_bezier.oracles.aspheres import first_hits
 
 __all__ = ["points"]
 
@@ -31,6 +34,8 @@ PLACES = (
 )
 #: How far from the origin, in their sizes, surfaces without a closed form keep all digits.
 _FAR = 1e4
+#: A lens of size 1, steep at its rim, to r^16.
+ASPHERE = EvenAsphere(0.8, 1.0, -0.4, (0, 0.05, -0.1, 0.07, 0, -0.02, 0, 0.01))
 #: What is measured, in this order.
 NAMES = ("t", "p", "n", "dp_du", "uv")
 
@@ -145,6 +150,24 @@ def _torus(patches: mb.BezierTriangles, pi: Any, si: Any, o: np.ndarray, d: np.n
     return Truth(t, at.p, n, at.dp_du, moved, judged)
 
 
+def _asphere(surface: EvenAsphere, si: Any, o: np.ndarray, d: np.ndarray) -> Truth:
+    """Return the truth of an asphere in its own coordinates; `uv` are those of its square."""
+    t = first_hits(surface, o, d).t
+    hit = np.isfinite(t)
+    p = o + np.where(hit, t, 0.0)[:, None] * d
+    s = np.minimum(np.sum(p[:, :2] ** 2, axis=1), surface.aperture**2)
+    slope = 2 * surface.derivatives(s)[1]
+    zero, one = np.zeros(len(p)), np.ones(len(p))
+    n = unit(np.stack([-slope * p[:, 0], -slope * p[:, 1], one], axis=1))
+    du = 2 * surface.aperture * np.stack([one, zero, slope * p[:, 0]], axis=1)
+    dv = 2 * surface.aperture * np.stack([zero, one, slope * p[:, 1]], axis=1)
+    off = _numbers(si.uv) - (0.5 + p[:, :2] / (2 * surface.aperture))
+    moved = np.linalg.norm(off[:, :1] * du + off[:, 1:] * dv, axis=1)
+    within = np.abs(np.sqrt(s) / surface.aperture - 1) > 1e-4
+    judged = hit & within & (np.abs(np.einsum("ni,ni->n", n, unit(d))) > 0.1)
+    return Truth(t, p, n, du, moved, judged)
+
+
 def points(rng: Rng, scale: float, places: tuple = ()) -> Iterator[Line]:
     """Surfaces near and far, small and large, beside Mitsuba's own ball in the same places.
 
@@ -153,6 +176,7 @@ def points(rng: Rng, scale: float, places: tuple = ()) -> Iterator[Line]:
     mi.set_variant(VARIANT)
     surfaces = {cover: mb.sphere(cover=cover) for cover in ("tetrahedral", "octants", "lunes")}
     surfaces["torus"] = mb.torus(radius=0.7, tube=0.3)
+    surfaces["asphere"] = ASPHERE
     for place, radius in places or PLACES:
         center = np.array(place)
         count = scaled(200_000, scale)
@@ -171,13 +195,18 @@ def points(rng: Rng, scale: float, places: tuple = ()) -> Iterator[Line]:
         for name, patches in surfaces.items():
             if name == "torus" and np.abs(center).max() > _FAR * radius:
                 continue  # see "not met" in docs/intersection.md
-            net = mi.TensorXd(patches.control_points)
-            shape = mi.load_dict(
-                {"type": "beziertriangle", "control_points": net, "to_world": to_world}
-            )
+            if name == "asphere":
+                shape = mi.load_dict({**asphere_parameters(ASPHERE), "to_world": to_world})
+            else:
+                net = mi.TensorXd(patches.control_points)
+                shape = mi.load_dict(
+                    {"type": "beziertriangle", "control_points": net, "to_world": to_world}
+                )
             pi, si = shape.ray_intersect_preliminary(ray), shape.ray_intersect(ray)
-            if name == "torus":
-                local = (o.astype(float) - center) / radius
+            local = (o.astype(float) - center) / radius
+            if name == "asphere":
+                right = _asphere(ASPHERE, si, local, d.astype(float))
+            elif name == "torus":
                 right = _torus(patches, pi, si, local, d.astype(float))
             else:
                 right = _ball(patches, pi, si, truth)

@@ -13,7 +13,7 @@ from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import LeafSettings
+from mitsuba_bezier.leaves.records import LeafSettings, Leaves
 from mitsuba_bezier.oracles.reference import first_hit
 
 __all__ = [
@@ -64,7 +64,16 @@ class Tracer:
 
     def __init__(self, patches: BezierTriangles, settings: LeafSettings | None = None) -> None:
         self.patches = patches
-        leaves = build_leaves(patches, settings)
+        self._take(build_leaves(patches, settings))
+
+    @classmethod
+    def of(cls, leaves: Leaves) -> Tracer:
+        """Return the kernel over leaves that are no patches."""
+        tracer = cls.__new__(cls)
+        tracer._take(leaves)
+        return tracer
+
+    def _take(self, leaves: Leaves) -> None:
         self.uncertified = int((~leaves.certified).sum())
         self.structure = build_structure(leaves, Float)
 

@@ -1,4 +1,4 @@
-"""Lenses as patches, traced by the kernels, against the float64 trace of the prescription.
+"""Lenses as shapes, traced by the kernels, against the float64 trace of the prescription.
 
     python benchmarks/lenses.py [--rings 8] [--only TEXT ...]
 
@@ -23,63 +23,20 @@ from rich.table import Table
 import mitsuba_bezier as mb  # before anything imports Dr.Jit
 from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.optics import (
-    Lens,
     beam,
     first_order,
     load,
     pupil_grid,
-    surface_patches,
     trace,
-    used_semi_diameters,
 )
-from mitsuba_bezier.optics.trace import refract
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))  # the lenses of the tests
 
-from optics_cases import lens_of, recorded  # noqa: E402
+from optics_cases import by_kernels, lens_of, recorded  # noqa: E402
 
 #: Largest distance on the image, over the focal length.
 REQUIRED = 2e-5
-
-
-def by_kernels(lens: Lens, o: np.ndarray, d: np.ndarray, wavelength: float) -> np.ndarray:
-    """Return points ``(N, 3)`` on the image plane; NaN for rays that miss a surface."""
-    import mitsuba as mi
-
-    radii = np.minimum(1.2 * used_semi_diameters(lens), [0.999 * s.reach() for s in lens.surfaces])
-    index = lens.indices(wavelength)
-    frames = lens.frames()
-    for i, (surface, radius) in enumerate(zip(lens.surfaces, radii)):
-        # built in the surface's own frame: `to_world` is carried in float64
-        net = surface_patches(surface, float(radius))
-        shape = mi.load_dict(
-            {
-                "type": "beziertriangle",
-                "control_points": net,
-                "to_world": mi.ScalarTransform4f(frames[i]),
-            }
-        )
-        # from a radius in front of the vertex, so that t is small in float32
-        start = (
-            o
-            + d
-            * ((frames[i][:3, 3] - o) @ frames[i][:3, 2] - 2 * radius)[:, None]
-            / (d @ frames[i][:3, 2])[:, None]
-        )
-        ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(d.T))
-        si = shape.ray_intersect(ray)
-        p, n = np.array(si.p).T.astype(float), np.array(si.n).T.astype(float)
-        p[~np.array(si.is_valid())] = np.nan
-        if surface.mirror:
-            d = d - 2 * np.sum(d * n, axis=1, keepdims=True) * n
-        else:
-            d = refract(d, n, np.full(len(d), index[i]), np.full(len(d), index[i + 1]))
-        d = d / np.linalg.norm(d, axis=1, keepdims=True)
-        o = p
-    turn, move = frames[-1][:3, :3], frames[-1][:3, 3]
-    local, along = (o - move) @ turn, d @ turn
-    return local - along * (local[:, 2:] / along[:, 2:])
 
 
 def main() -> int:
@@ -97,7 +54,7 @@ def main() -> int:
         lenses[name] = replace(lens, fields=[(0.0, h * largest) for h in (0, 0.7, 1)], title=name)
     for path in sorted((ROOT / "scenes/lenses").glob("*.csv")):
         lenses[path.stem] = load(path)
-    table = Table(title="Lenses of patches against the float64 trace")
+    table = Table(title="Lenses as shapes against the float64 trace")
     for column in ("lens", "surfaces", "f", "rays", "missed", "largest / f", "spot", "by kernels"):
         table.add_column(column, justify="left" if column == "lens" else "right")
     bad = 0

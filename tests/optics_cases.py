@@ -6,7 +6,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mitsuba_bezier.optics import AIR, Constant, Lens, Surface
+import numpy as np
+
+from mitsuba_bezier.optics import (
+    AIR,
+    Abbe,
+    Constant,
+    Lens,
+    Surface,
+    surface_shape,
+    used_semi_diameters,
+)
+from mitsuba_bezier.optics.trace import refract
 
 
 def recorded() -> dict[str, dict[str, Any]]:
@@ -36,3 +47,67 @@ def lens_of(record: dict[str, Any]) -> Lens:
         wavelengths=[record["wavelength"]],
         fields=[(0, record["field"])],
     )
+
+
+def phone_lens() -> Lens:
+    """Three aspheres in plastic to r^16, as in telephones: the fields are 0 and 25 degrees."""
+    plastic, dense = Abbe(1.5445, 55.9), Abbe(1.6398, 23.3)
+    return Lens(
+        [
+            Surface(1 / 1.62, 0.72, plastic, 0.95, -0.6, (0, 8e-3, 2e-2, -3e-2, 4e-2, -3e-2)),
+            Surface(1 / 11.5, 0.16, semi_diameter=0.9, coefficients=(0, -2e-2, 5e-2, -8e-2)),
+            Surface(-1 / 22.0, 0.3, dense, 0.88, 0.0, (0, -9e-2, 2.1e-1, -2e-1, 1.2e-1)),
+            Surface(1 / 5.2, 0.55, semi_diameter=0.9, conic=-3, coefficients=(0, -5e-2, 2e-1)),
+            Surface(-1 / 8.5, 0.62, plastic, 1.2, 0.0, (0, -8e-2, 3e-2, -1e-2, 0, 0, 0, 1e-3)),
+            Surface(-1 / 1.9, 1.5, semi_diameter=1.35, conic=-4.0, coefficients=(0, -6e-2, 1e-2)),
+        ],
+    )
+
+
+def by_kernels(
+    lens: Lens, o: np.ndarray, d: np.ndarray, wavelength: float, aspheres: bool = False
+) -> np.ndarray:
+    """Return points ``(N, 3)`` on the image plane; NaN for rays that miss a surface.
+
+    Rays go from shape to shape by `shape.ray_intersect` in float32; refraction and the way to the
+    image are in float64, with the kernel's points and normals. With `aspheres` conics are met as
+    aspheres, too.
+    """
+    import mitsuba as mi
+
+    radii = np.array([s.semi_diameter for s in lens.surfaces])
+    if not np.isfinite(radii).all():
+        reach = [0.999 * s.reach() for s in lens.surfaces]
+        radii = np.minimum(1.2 * used_semi_diameters(lens), reach)
+    index = lens.indices(wavelength)
+    frames = lens.frames()
+    for i, (surface, radius) in enumerate(zip(lens.surfaces, radii)):
+        # built in the surface's own frame: `to_world` is carried in float64
+        shape = surface_shape(surface, float(radius))
+        if aspheres:
+            shape = {
+                "type": "asphere",
+                "curvature": surface.curvature,
+                "conic": surface.conic,
+                "coefficients": " ".join(map(repr, surface.coefficients)),
+                "aperture": float(radius),
+                "flip_normals": True,
+            }
+        shape = mi.load_dict({**shape, "to_world": frames[i]})
+        # from a radius in front of the vertex, so that t is small in float32
+        vertex, axis = frames[i][:3, 3], frames[i][:3, 2]
+        start = ((vertex - o) @ axis - 2 * radius * lens.directions()[i]) / (d @ axis)
+        start = o + start[:, None] * d
+        ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(d.T))
+        si = shape.ray_intersect(ray)
+        p, n = np.array(si.p).T.astype(float), np.array(si.n).T.astype(float)
+        p[~np.array(si.is_valid())] = np.nan
+        if surface.mirror:
+            d = d - 2 * np.sum(d * n, axis=1, keepdims=True) * n
+        else:
+            d = refract(d, n, np.full(len(d), index[i]), np.full(len(d), index[i + 1]))
+        d = d / np.linalg.norm(d, axis=1, keepdims=True)
+        o = p
+    turn, move = frames[-1][:3, :3], frames[-1][:3, 3]
+    local, along = (o - move) @ turn, d @ turn
+    return local - along * (local[:, 2:] / along[:, 2:])

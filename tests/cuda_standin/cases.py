@@ -21,6 +21,7 @@ import drjit as dr
 import numpy as np
 from drjit import cuda, llvm
 
+from mitsuba_bezier.geometry.aspheres import EvenAsphere
 from mitsuba_bezier.geometry.trim_cells import trim_cells
 from mitsuba_bezier.geometry.trims import Trims, square_map
 from mitsuba_bezier.kernels import wavefront
@@ -31,7 +32,15 @@ from mitsuba_bezier.kernels.structure import build_structure
 from mitsuba_bezier.kernels.traverse import intersect
 from mitsuba_bezier.kernels.trim_table import build_table
 from mitsuba_bezier.leaves.builder import build_leaves
-from mitsuba_bezier.leaves.records import GRAPHS, INVERTED_KINDS, LeafSettings, Leaves
+from mitsuba_bezier.leaves.records import (
+    GRAPHS,
+    INVERTED_KINDS,
+    ClosedFormLeaves,
+    GraphLeaves,
+    LeafSettings,
+    Leaves,
+)
+from mitsuba_bezier.leaves.revolution import revolution_leaf
 
 __all__ = ["CASES"]
 
@@ -106,6 +115,26 @@ def several_kinds() -> Leaves:
     )
 
 
+def aspheres() -> Leaves:
+    """Two even aspheres, one turned and with a hole, beside a closed form and graphs."""
+    parts = [build_leaves(mb.sphere(radius=0.3)), build_leaves(mb.torus(tube=0.2))]
+    turned = np.diag([0.9, 0.9, 0.9, 1.0])
+    turned[:3, :3] = turned[:3, :3] @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    bowl = EvenAsphere(0.8, 1.0, -0.4, (0, 0.05, -0.1, 0.07, 0, -0.02, 0, 0.01))
+    ring = EvenAsphere(-0.6, 0.9, -3.0, (0.1, -0.3, 0.12), inner=0.4)
+    parts += [
+        Leaves(GraphLeaves.zeros(), ClosedFormLeaves.zeros(), revolution_leaf(surface, matrix))
+        for surface, matrix in ((bowl, np.eye(4)), (ring, turned))
+    ]
+    counts = [int(part.patch.max()) + 1 for part in parts]
+    first = np.cumsum([0, *counts])
+    return Leaves.join([p.of_patches(k + np.arange(n)) for p, k, n in zip(parts, first, counts)])
+
+
+def only_an_asphere() -> Leaves:
+    return aspheres().select(np.array([-2]))
+
+
 STRUCTURES: dict[str, Callable[[], Structures]] = {
     "tetrahedral": lambda: plain(build_leaves(mb.sphere(cover="tetrahedral"))),
     "octants": lambda: plain(build_leaves(mb.sphere(cover="octants"))),
@@ -116,6 +145,8 @@ STRUCTURES: dict[str, Callable[[], Structures]] = {
     "infinity": lambda: plain(build_leaves(at_infinity(), GENERAL)),
     "several kinds": lambda: plain(several_kinds()),
     "trims": trimmed,
+    "aspheres": lambda: plain(aspheres()),
+    "an asphere": lambda: plain(only_an_asphere()),
 }
 
 

@@ -70,6 +70,7 @@ GROUPS = {
     "several kinds": ("several kinds",),
     "trims": ("trims",),
     "instances": ("instances",),
+    "aspheres": ("aspheres", "an asphere"),
 }
 
 
@@ -101,7 +102,10 @@ def test_points_and_partials(stand_in):
 
 @needs_stand_in
 def test_float64(stand_in):
-    names = [f"float64: {name}" for name in ("general, closest", "several kinds, any", "points")]
+    names = [
+        f"float64: {name}"
+        for name in ("general, closest", "several kinds, any", "an asphere, closest", "points")
+    ]
     folder, results = stand_in.run("cases", "float64", names)
     for result in results:
         assert result.get("different", 0) == 0, result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from optics_cases import by_kernels, phone_lens
 
 import mitsuba_bezier as mb  # isort: skip (before Dr.Jit)
 import drjit as dr
@@ -11,8 +12,10 @@ import drjit as dr
 from mitsuba_bezier.errors import PrescriptionError
 from mitsuba_bezier.optics import (
     Abbe,
+    Constant,
     Lens,
     Surface,
+    first_order,
     lens_shapes,
     surface_patches,
     surface_shape,
@@ -132,21 +135,6 @@ def test_elements_are_closed():
     assert (p[:, 2] > front - 1e-5).all()
 
 
-def phone_lens() -> Lens:
-    """Three aspheres in plastic to r^16, as in telephones: the fields are 0 and 25 degrees."""
-    plastic, dense = Abbe(1.5445, 55.9), Abbe(1.6398, 23.3)
-    return Lens(
-        [
-            Surface(1 / 1.62, 0.72, plastic, 0.95, -0.6, (0, 8e-3, 2e-2, -3e-2, 4e-2, -3e-2)),
-            Surface(1 / 11.5, 0.16, semi_diameter=0.9, coefficients=(0, -2e-2, 5e-2, -8e-2)),
-            Surface(-1 / 22.0, 0.3, dense, 0.88, 0.0, (0, -9e-2, 2.1e-1, -2e-1, 1.2e-1)),
-            Surface(1 / 5.2, 0.55, semi_diameter=0.9, conic=-3, coefficients=(0, -5e-2, 2e-1)),
-            Surface(-1 / 8.5, 0.62, plastic, 1.2, 0.0, (0, -8e-2, 3e-2, -1e-2, 0, 0, 0, 1e-3)),
-            Surface(-1 / 1.9, 1.5, semi_diameter=1.35, conic=-4.0, coefficients=(0, -6e-2, 1e-2)),
-        ],
-    )
-
-
 def test_aspheres_refract_in_a_scene_as_the_prescription_says():
     import mitsuba as mi
 
@@ -177,6 +165,77 @@ def test_aspheres_refract_in_a_scene_as_the_prescription_says():
         dr.eval(ray)  # else the kernel would be that of all surfaces before
     out = np.array(ray.d).T @ turn[:3, :3]
     assert np.abs(out - truth.directions[6][ok]).max() < 4e-6
+
+
+#: Focal length, and a lens whose rays along the axis meet in its focus.
+SHARP = {
+    "paraboloid": (500.0, [Surface(-1 / 1000, -500, mirror=True, conic=-1, semi_diameter=150)]),
+    # of the conic -n^2 behind a plane: Descartes
+    "hyperbolic singlet": (
+        100.0,
+        [
+            Surface(0, 12, Constant(1.5), 40),
+            Surface(-1 / 50, 100.0, semi_diameter=40, conic=-2.25),
+        ],
+    ),
+    # free of third-order coma and spherical aberration, magnification 4 (Schroeder, 1987)
+    "Ritchey-Chretien": (
+        8000.0,
+        [
+            Surface(-1 / 4000, -1400, mirror=True, conic=-1 - 2 / 64 * 24 / 14, semi_diameter=500),
+            Surface(
+                -1 / 1600,
+                2400,
+                mirror=True,
+                conic=-1 - 2 / 27 * (28 + 24 / 14),
+                semi_diameter=180,
+            ),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("aspheres", [False, True])
+@pytest.mark.parametrize("name", SHARP)
+def test_foci_of_conics_in_float32(name, aspheres):
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    focal, surfaces = SHARP[name]
+    lens = Lens(surfaces)
+    assert abs(first_order(lens).focal_length) == pytest.approx(focal, rel=1e-9)
+    rng = np.random.default_rng(1)
+    r, angle = np.sqrt(rng.random(2000)), rng.random(2000) * 2 * np.pi
+    size = 0.95 * surfaces[0].semi_diameter
+    o = np.stack([size * r * np.cos(angle), size * r * np.sin(angle), 0 * r - 2000], axis=1)
+    d = np.tile([0.0, 0.0, 1.0], (2000, 1))
+    truth = trace(lens, o, d, vignetting=False).local[-1]
+    got = by_kernels(lens, o, d, 0.5876, aspheres)
+    assert np.isfinite(got).all()
+    off = np.linalg.norm((got - truth)[:, :2], axis=1)
+    assert off.max() < 1e-6 * focal
+    # stigmatic, but for 6e-8 of spherical aberration of high order in the Ritchey-Chretien
+    assert np.linalg.norm(got[:, :2], axis=1).max() < 1e-6 * focal
+
+
+def test_a_lens_of_aspheres_has_the_image_of_the_float64_trace():
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    lens = phone_lens()
+    focal = abs(first_order(lens).focal_length)
+    rng = np.random.default_rng(1)
+    r, angle = 0.7 * np.sqrt(rng.random(1500)), rng.random(1500) * 2 * np.pi
+    o = np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], axis=1)
+    for field in (0, 15, 25):
+        d = np.tile([0.0, np.sin(np.radians(field)), np.cos(np.radians(field))], (1500, 1))
+        truth = trace(lens, o - 2 * d, d)
+        got = by_kernels(lens, o - 2 * d, d, lens.wavelengths[0])
+        # rays through a rim by less than a rounding may go either way
+        assert (np.isfinite(got).all(axis=1) == truth.valid).mean() > 0.998
+        ok = np.isfinite(got).all(axis=1) & truth.valid
+        assert ok.mean() > 0.6
+        assert np.linalg.norm((got - truth.local[-1])[ok][:, :2], axis=1).max() < 2e-6 * focal
 
 
 def test_elements_of_aspheres_are_closed():
