@@ -5,7 +5,9 @@ This layer stands above geometry; it needs no Mitsuba. Glass by name needs the e
 
 from __future__ import annotations
 
+from .barrel import barrel_shapes, camera_frame
 from .beams import Spot, beam, distortion, pupil_grid, spot, used_semi_diameters
+from .coatings import coating, reflectance
 from .derivatives import SpotDerivatives, spot_derivatives
 from .drawing import draw_section, draw_spots, save_figure
 from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
@@ -29,7 +31,10 @@ __all__ = [
     "SpotDerivatives",
     "Surface",
     "Trace",
+    "barrel_shapes",
     "beam",
+    "camera_frame",
+    "coating",
     "distortion",
     "draw_section",
     "draw_spots",
@@ -39,6 +44,7 @@ __all__ = [
     "lens_shapes",
     "load",
     "pupil_grid",
+    "reflectance",
     "report",
     "save_figure",
     "spot",

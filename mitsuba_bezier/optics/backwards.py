@@ -51,6 +51,7 @@ def backwards(lens: Lens) -> Lens:
         vignetting=None,
         aperture=("stop", 0.0),
         field_kind="angle",
+        object_medium=media[-1],
     )
 
 

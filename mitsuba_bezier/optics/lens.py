@@ -149,6 +149,8 @@ class Lens:
         Name and unit of length (``mm``, ``cm``, ``m``, ``in``).
     notes : sequence of str
         What the file says besides, and is not followed.
+    object_medium : Medium
+        What light runs in before the first surface.
 
     Raises
     ------
@@ -177,6 +179,7 @@ class Lens:
     title: str = ""
     unit: str = "mm"
     notes: Sequence[str] = ()
+    object_medium: Medium = AIR
 
     def __post_init__(self) -> None:
         if not self.surfaces:
@@ -243,7 +246,7 @@ class Lens:
 
     def media(self) -> list[Medium]:
         """Return what light runs in before the first surface and behind each."""
-        media: list[Medium] = [AIR]
+        media: list[Medium] = [self.object_medium]
         for s in self.surfaces:
             media.append(media[-1] if s.mirror else s.medium)
         return media

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
 from functools import partial
 from importlib import import_module
@@ -16,11 +17,14 @@ __all__ = ["PLUGINS", "register"]
 
 _classes: dict[tuple[str, str], type] = {}
 
+#: Mitsuba makes the parts of a dictionary on several threads: the first one makes the class.
+_making = threading.RLock()
+
 #: Our plugins: their kind, and the module and function that make their classes.
 PLUGINS = {
     "beziertriangle": ("shape", "shape.beziertriangle.make_shape_class"),
     "asphere": ("shape", "shape.asphere.make_asphere_class"),
-    "lens": ("sensor", "lens_sensor.make_lens_class"),
+    "lens": ("sensor", "lens.sensor.make_lens_class"),
     "bezierfield": ("texture", "field_texture.make_field_class"),
     "bezieraov": ("integrator", "integrators.bezieraov.make_aov_class"),
     "bezierpath": ("integrator", "integrators.bezierpath.make_path_class"),
@@ -47,12 +51,13 @@ def _instantiate(name: str, props: Any) -> Any:
     from .spelling import check_known, check_read
 
     key = (name, mi.variant())
-    if key not in _classes:
-        kind, path = PLUGINS[name]
-        module, _, function = path.rpartition(".")
-        _classes[key] = getattr(import_module(f".{module}", __name__), function)()
-        if kind == "shape":  # from now on there may be a scene with something to see
-            native.install()
+    with _making:
+        if key not in _classes:
+            kind, path = PLUGINS[name]
+            module, _, function = path.rpartition(".")
+            _classes[key] = getattr(import_module(f".{module}", __name__), function)()
+            if kind == "shape":  # from now on there may be a scene with something to see
+                native.install()
     check_known(name, props)
     plugin = _classes[key](props)
     check_read(name, props)

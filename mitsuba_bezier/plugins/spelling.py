@@ -36,6 +36,7 @@ PARAMETERS = {
     ),
     "lens": (
         *("filename", "film_width", "focus_distance", "f_number", "scale", "dispersion"),
+        *("blades", "blade_rotation", "coating", "ghosts", "absorption", "glass"),
         *("to_world", "shutter_open", "shutter_close"),
     ),
     "bezierpath": _PATH,

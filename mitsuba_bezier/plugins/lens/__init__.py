@@ -1,0 +1,1 @@
+"""The sensor ``lens``: film, glass as numbers on the device, the sequence of surfaces, ghosts."""
