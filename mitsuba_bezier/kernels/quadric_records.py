@@ -171,7 +171,9 @@ def cell_records(leaves: ClosedFormLeaves, sides: np.ndarray, groups: np.ndarray
     such, has all of the cell beyond it.
     """
     first, size = ranges(leaves.group)
-    large = np.flatnonzero(size >= MIN_GROUP_FOR_TABLE)
+    # no table has room for a group that reaches infinity: all its members are tried
+    finite = np.logical_and.reduceat(np.isfinite(leaves.span).all(axis=(1, 2)), first)
+    large = np.flatnonzero((size >= MIN_GROUP_FOR_TABLE) & finite)
     if not leaves.is_one_of(INVERTED_KINDS).any() or not len(large):
         return CELLS.pack(0)
     groups[large, GROUP.first["count"]] += 32 * (1 + np.arange(len(large)))
