@@ -15,10 +15,10 @@ from .chains import Bend, Chains, Vertex, has_delta, what_moves
 from .emitters import EmitterSampling, LightSample
 from .path_tracing import mis_weight, russian_roulette, skip_emitters
 
-__all__ = ["replay"]
+__all__ = ["relative", "replay", "solid_angle"]
 
 
-def _area_per_solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
+def solid_angle(o: Any, p: Any, n: Any, active: Any) -> Any:
     """Return ``cos / distance^2`` at `p` seen from `o`: how solid angle follows area."""
     d = p - o
     square = dr.squared_norm(dr.select(active, d, 1.0))
@@ -180,9 +180,9 @@ def _replay(
             next_o, next_d = chains.leave(si, bend, wo, next_ray.d)
             rough = active_next & ~ideal
             value = dr.select(rough, bsdf.eval(context, si, si.to_local(next_d), rough), value)
-            solid = _area_per_solid_angle(si.p, following.p, following.n, met & rough)
+            solid = solid_angle(si.p, following.p, following.n, met & rough)
             # `rest` is what arrives along the next ray, with the throughput up to here
-            reflected = dr.select(active_next, rest * _relative(value) * _relative(solid), 0.0)
+            reflected = dr.select(active_next, rest * relative(value) * relative(solid), 0.0)
             total = emitted + direct + reflected
             derivative, chain = st["derivative"], st["chain"]
             if not dr.grad_enabled(total) and not integrator.interior_may_be_constant:
@@ -230,7 +230,7 @@ def _replay(
     return state["derivative"], state["valid"], state["rest"]
 
 
-def _relative(value: Any) -> Any:
+def relative(value: Any) -> Any:
     """Return 1 with the derivative of the logarithm of `value`; plain 1 where that is 0."""
     return dr.replace_grad(1.0, dr.select(value != 0, value / dr.detach(value), 1.0))
 
@@ -268,5 +268,5 @@ def _attached_light(rays: SceneRays, si: Any, here: Any, light: LightSample) -> 
 
     inverse = dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0.0)
     weight = dr.replace_grad(light.weight, value * inverse)
-    solid = _area_per_solid_angle(si.p, ds.p, ds.n, surface)
-    return weight * _relative(solid), direction
+    solid = solid_angle(si.p, ds.p, ds.n, surface)
+    return weight * relative(solid), direction

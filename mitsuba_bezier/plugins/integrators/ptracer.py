@@ -12,10 +12,12 @@ import drjit as dr
 import mitsuba as mi
 
 from ... import _runtime
+from ...errors import BezierError
 from ..offsets import own_error, spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .depths import check_depths
 from .emitters import EmitterSampling
+from .light_replay import LightReplay, correction
 from .path_tracing import russian_roulette
 
 __all__ = ["make_ptracer_class"]
@@ -51,6 +53,9 @@ def make_ptracer_class() -> type:
         glass is not in the picture: such points cannot be connected to it. It has no media. In
         polarized variants it keeps the order of the matrices, as path tracers do.
 
+        Derivatives, forward and reverse, follow mirrors and glass to what they light, whose place
+        in the image moves; they need a reconstruction filter without a step, as `gaussian`.
+
         .. code-block:: python
 
             mi.load_dict({"type": "bezierptracer", "max_depth": 8})
@@ -76,6 +81,44 @@ def make_ptracer_class() -> type:
             if self.longest > 1:
                 _trace(splat, self.longest, self.roulette_from)
 
+        def render_forward(
+            self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        ) -> Any:
+            """Return the derivative of the image."""
+            with dr.suspend_grad():
+                render = _Derivative(self, scene, sensor, seed, spp, dr.ADMode.Forward)
+                film, shape = render.film, render.film.create_block().tensor().shape
+                image = dr.zeros(mi.Float, dr.prod(shape))
+                render.run(image, shape[2])
+                tensor = mi.TensorXf(image, shape=shape)
+                film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))
+                return film.develop()
+
+        def render_backward(
+            self,
+            scene: Any,
+            params: Any,
+            grad_in: Any,
+            sensor: Any = 0,
+            seed: Any = 0,
+            spp: int = 0,
+        ) -> None:
+            """Accumulate derivatives in the parameters."""
+            with dr.suspend_grad():
+                render = _Derivative(self, scene, sensor, seed, spp, dr.ADMode.Backward)
+                film, shape = render.film, render.film.create_block().tensor().shape
+                with dr.resume_grad():  # the film is linear: its adjoint
+                    tensor = dr.zeros(mi.TensorXf, shape)
+                    dr.enable_grad(tensor)
+                    film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))
+                    developed = film.develop()
+                    dr.set_grad(developed, grad_in)
+                    dr.enqueue(dr.ADMode.Backward, developed)
+                    dr.traverse(dr.ADMode.Backward)
+                    adjoint = dr.grad(tensor)
+                render.run(adjoint.array, shape[2])
+                dr.eval()
+
         def to_string(self) -> str:
             depth = -1 if self.longest == 0xFFFFFFFF else self.longest
             return (
@@ -84,6 +127,51 @@ def make_ptracer_class() -> type:
             )
 
     return BezierPTracer
+
+
+class _Derivative:
+    """One render of derivatives: its sampler, film and scale, as in `mi.AdjointIntegrator`."""
+
+    def __init__(
+        self, integrator: Any, scene: Any, sensor: Any, seed: Any, spp: int, mode: Any
+    ) -> None:
+        if mi.is_polarized:
+            raise BezierError.expected(
+                "bezierptracer", "a variant without polarization for derivatives", mi.variant()
+            )
+        self.integrator, self.scene, self.mode, self.seed = integrator, scene, mode, seed
+        self.sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+        self.film = self.sensor.film()
+        self.sampler = self.sensor.sampler().clone()
+        if spp:
+            self.sampler.set_sample_count(spp)
+        self.spp = self.sampler.sample_count()
+        self.film.prepare([])
+
+    def run(self, image: Any, channels: int) -> None:
+        """Trace the light; see `LightReplay` for the image."""
+        integrator, sampler = self.integrator, self.sampler
+        size, crop = self.film.size(), self.film.crop_size()
+        count = int(size[0]) * int(size[1]) * self.spp
+        sampler.set_samples_per_wavefront(self.spp)
+        scale = int(crop[0]) * int(crop[1]) / count
+        rays = SceneRays(self.scene)
+        with rays.attach(self.mode):
+            replay = LightReplay(integrator, rays, self.sensor, self.mode, image, channels, scale)
+            if integrator.longest > 0 and not integrator.hides:
+                sampler.seed(0x9E3779B9 ^ self.seed, count)
+                replay.sampler = sampler
+                with dr.resume_grad():
+                    _visible_emitters(replay)
+            if integrator.longest < 2:
+                return
+            rest = None
+            if self.mode == dr.ADMode.Backward:
+                sampler.seed(self.seed, count)
+                rest = replay.trace(sampler)
+                dr.eval(rest)
+            sampler.seed(self.seed, count)
+            replay.trace(sampler, rest)
 
 
 class _Splat:
@@ -114,7 +202,7 @@ class _Splat:
         )
 
 
-def _visible_emitters(splat: _Splat) -> None:
+def _visible_emitters(splat: _Splat | LightReplay) -> None:
     """Connect points on emitters to the sensor."""
     scene, sampler, sensor = splat.rays.scene, splat.sampler, splat.sensor
     time = splat.time()
@@ -188,7 +276,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         value = bsdf.eval(context, si, wo, active)
         value = importance * si.to_world_mueller(value, -si.wi, wo) * st["throughput"]
         outward, outward_shading = dr.dot(si.n, towards), mi.Frame3f.cos_theta(wo)
-        value *= _correction(inward, inward_shading, outward, outward_shading)
+        value *= correction(inward, inward_shading, outward, outward_shading)
         splat.connect(si, p_err, ds, value, 1.0, active)
 
         # ---- the next surface
@@ -197,7 +285,7 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         )
         onward = si.to_world(sample.wo)
         throughput = si.to_world_mueller(weight, -si.wi, sample.wo) * st["throughput"]
-        throughput *= _correction(
+        throughput *= correction(
             inward, inward_shading, dr.dot(si.n, onward), mi.Frame3f.cos_theta(sample.wo)
         )
         eta = st["eta"] * sample.eta
@@ -218,12 +306,3 @@ def _trace(splat: _Splat, longest: int, roulette_from: int) -> None:
         )
 
     dr.while_loop((state,), cond=lambda st: st["active"], body=body, label="bezierptracer")
-
-
-def _correction(wi: Any, wi_shading: Any, wo: Any, wo_shading: Any) -> Any:
-    """Return the factor of an adjoint BSDF for cosines to both normals (Veach 1997, p. 155).
-
-    It is 0 where light would pass a surface only by its shading normal.
-    """
-    good = (wi * wi_shading > 0) & (wo * wo_shading > 0)
-    return dr.select(good, dr.abs(wi_shading * wo / (wo_shading * wi)), 0.0)
