@@ -25,7 +25,7 @@ HEAVIEST = 2_000_000
 
 def pages() -> list[Path]:
     """Return the pages that are in the repository, below ``docs``."""
-    made = {"_build", "generated"}
+    made = {"_build", "gallery", "generated"}
     return sorted(p for p in HERE.rglob("*.md") if not made & set(p.relative_to(HERE).parts))
 
 
@@ -54,6 +54,8 @@ class _Page(HTMLParser):
 
 def faults(site: Path) -> list[str]:
     """Return what is wrong with built pages, a line each."""
+    if not site.is_dir() or not any(site.rglob("*.html")):
+        return [f"{site}: there are no pages"]
     built = {path: _Page(path.read_text(encoding="utf-8")) for path in site.rglob("*.html")}
     found = []
     for path, page in sorted(built.items()):

@@ -1,5 +1,6 @@
 """Settings of the site; ``python docs/build.py`` builds it, see there."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -21,10 +22,11 @@ extensions = [
     "sphinx.ext.napoleon",  # NumPy docstrings
     "sphinx_design",  # the doors of the landing page
     "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
     "site_pages",  # ours: docs/_ext
 ]
 # the lecture is cut into pages: docs/_ext/generate.py
-exclude_patterns = ["_build", "_ext", "notebooks", "figures", "lecture.md"]
+exclude_patterns = ["_build", "_ext", "examples", "notebooks", "figures", "lecture.md"]
 root_doc = "index"
 
 html_theme = "furo"
@@ -53,6 +55,23 @@ nitpicky = True
 # Types in docstrings are words, such as "array of shape (P, 3)", and names of other packages, whose
 # pages are not asked for: the build uses no network.
 nitpick_ignore_regex = [("py:.*", ".*")]
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "image_scrapers": ("site_pages.pictures",),  # by name, as Sphinx keeps the settings
+    "abort_on_example_error": True,
+    "remove_config_comments": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "min_reported_time": 1e6,  # of a machine with other work they say nothing
+    "thumbnail_size": (400, 262),
+    "write_computation_times": False,  # its page loads scripts from elsewhere
+    "within_subsection_order": "ExampleTitleSortKey",
+    # the tests build the pages without running the scripts, which takes minutes
+    "plot_gallery": os.environ.get("MITSUBA_BEZIER_GALLERY", "1") != "0",
+}
 
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True

@@ -19,7 +19,7 @@ DOCS = ROOT / "docs"
 PAGES = {
     page.relative_to(DOCS).with_suffix("").as_posix(): page
     for page in sorted(DOCS.rglob("*.md"))
-    if not {"_build", "generated"} & set(page.relative_to(DOCS).parts)
+    if not {"_build", "gallery", "generated"} & set(page.relative_to(DOCS).parts)
 } | {name: ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING")}
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import posixpath
 import re
+import shutil
+from pathlib import Path
 from typing import Any
 
 #: Pages that have another place on the site; links to them lead there.
@@ -30,6 +32,21 @@ def lead(docname: str, text: str) -> str:
         return found[0]
 
     return re.sub(r"\]\(([^)#\s:]+\.md)((?:#[^)]*)?)\)", link, text)
+
+
+def pictures(_block: Any, variables: dict[str, Any], settings: dict[str, Any]) -> str:
+    """Take the pictures that a script of the gallery has written into its page."""
+    from sphinx_gallery.scrapers import figure_rst
+
+    folder = Path(variables["src_file"]).parent
+    targets = []
+    for path in sorted(folder.glob("*.png")):
+        target = next(variables["image_path_iterator"])
+        shutil.move(path, target)
+        targets.append(target)
+    for path in (*folder.glob("*.vtu"), *folder.glob("*.ply")):  # what they are made from
+        path.unlink()
+    return figure_rst(targets, settings["src_dir"])
 
 
 def _links(_app: Any, docname: str, source: list[str]) -> None:

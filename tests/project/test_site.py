@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -26,10 +28,11 @@ PAGES = module("docs_site_pages", DOCS / "_ext" / "site_pages.py")
 
 
 def test_the_site_builds_and_its_pages_hold_together(tmp_path):
-    for package in ("sphinx", "furo", "myst_parser", "sphinx_design", "sphinx_copybutton"):
+    for package in ("sphinx", "furo", "myst_parser", "sphinx_design", "sphinx_gallery"):
         pytest.importorskip(package, reason="pip install '.[docs]'")
     command = [sys.executable, str(DOCS / "build.py"), "--out", str(tmp_path / "html")]
-    done = subprocess.run(command, capture_output=True, text=True)
+    environment = {**os.environ, "MITSUBA_BEZIER_GALLERY": "0"}  # its scripts run in .ci/run
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "no faults" in done.stdout
     built = {path.relative_to(tmp_path / "html").as_posix() for path in tmp_path.rglob("*.html")}
@@ -65,6 +68,10 @@ def test_faults_of_pages_are_found(site, text, fault):
     (site / "index.html").write_text(text)
     (found,) = BUILD.faults(site)
     assert found.startswith("index.html") and fault in found
+
+
+def test_a_folder_without_pages_is_a_fault(tmp_path):
+    assert len(BUILD.faults(tmp_path)) == len(BUILD.faults(tmp_path / "none")) == 1
 
 
 def test_links_elsewhere_are_none_of_the_build(site):
@@ -154,3 +161,13 @@ def test_the_drawings_of_the_concepts_are_there():
     for name, figure in draw.FIGURES.items():
         assert f"]({name}.svg)" in text and (DOCS / "concepts" / f"{name}.svg").exists()
         assert figure().encoded(".svg").startswith(b"<?xml")  # with its asserts
+
+
+def test_the_short_answer_on_speed_is_that_of_the_table():
+    text = (DOCS / "performance.md").read_text(encoding="utf-8")
+    short = text[text.index("In short") : text.index("## Rays")]
+    rays = text[text.index("<!-- rays -->") : text.index("The same by processor")]
+    figures = re.findall(r"\d+(?:\.\d+)?", short)
+    assert len(figures) == 6
+    for figure in figures:
+        assert f"| {figure} (" in rays, figure
