@@ -145,7 +145,8 @@ def plugins() -> str:
         if rows:
             table[:0] = ["| parameter | type | meaning |", "| --- | --- | --- |"]
         parts.append("\n".join(table))
-        shown = [row[0] for row in rows if (pictures / f"{name}-{row[0]}.webp").exists()]
+        names = [word for row in rows for word in row[0].split(", ")]
+        shown = [word for word in names if (pictures / f"{name}-{word}.webp").exists()]
         if shown:
             cells = [f"![{name} with {p}](../pictures/{name}-{p}.webp)" for p in shown]
             heads = [f"`{p}`" for p in shown]

@@ -171,3 +171,13 @@ def test_the_short_answer_on_speed_is_that_of_the_table():
     assert len(figures) == 6
     for figure in figures:
         assert f"| {figure} (" in rays, figure
+
+
+def test_pictures_of_parameters_are_of_parameters_that_there_are():
+    text = GENERATE.plugins()
+    found = sorted((DOCS / "pictures").glob("*-*.webp"))
+    assert len(found) >= 13
+    for path in found:
+        plugin, _, parameter = path.stem.partition("-")
+        assert f"![{plugin} with {parameter}](../pictures/{path.name})" in text
+        assert path.stat().st_size < 40_000
