@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import browser
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -40,6 +41,23 @@ def test_the_site_builds_and_its_pages_hold_together(tmp_path):
     # every page of the repository is one of the site, the lecture in pieces
     pages = {p.relative_to(DOCS).with_suffix(".html").as_posix() for p in BUILD.pages()}
     assert pages - built == {"lecture.html"}
+
+
+def test_a_page_wider_than_a_telephone_is_found(tmp_path):
+    if browser.find() is None or importlib.util.find_spec("playwright") is None:
+        pytest.skip("no Chromium, or no playwright")
+    (tmp_path / "good.html").write_text("<!doctype html><p>words</p>")
+    words = [sys.executable, str(DOCS / "look.py"), str(tmp_path), "--screens", str(tmp_path / "s")]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0 and "1 pages, no faults" in done.stdout, done.stderr
+    assert (tmp_path / "s" / "420" / "good.jpg").stat().st_size > 1000
+    wide = "<!doctype html><div style='width: 700px'>x</div><script>none()</script>"
+    (tmp_path / "wide.html").write_text(wide)
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 1
+    # 700 and the margin of 8 pixels
+    assert "wide.html: 288 pixels wider than 420" in done.stderr
+    assert "none is not defined" in done.stderr
 
 
 @pytest.fixture
