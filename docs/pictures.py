@@ -177,7 +177,12 @@ def parameters() -> None:
         save(name, render(small(shape), 32, width=480), limit=40_000)
 
 
-PAGES = {"quickstart": quickstart, "parameters": parameters}
+def spectral() -> None:
+    """The ball and the ring of the page on wavelengths."""
+    save("spectral", render(page_code("howto/spectral.md")["scene"], 64))
+
+
+PAGES = {"quickstart": quickstart, "parameters": parameters, "spectral": spectral}
 
 
 def main() -> None:
