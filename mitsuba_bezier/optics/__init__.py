@@ -10,7 +10,7 @@ from .beams import Spot, beam, distortion, pupil_grid, spot, used_semi_diameters
 from .coatings import coating, reflectance
 from .derivatives import SpotDerivatives, spot_derivatives
 from .drawing import draw_section, draw_spots, save_figure
-from .glass import AIR, Abbe, Catalogue, Constant, Medium, glass
+from .glass import AIR, Abbe, Catalogue, Constant, Medium, absorbing, glass
 from .lens import Lens, Surface
 from .paraxial import FirstOrder, first_order
 from .patches import lens_shapes, surface_patches, surface_shape
@@ -31,6 +31,7 @@ __all__ = [
     "SpotDerivatives",
     "Surface",
     "Trace",
+    "absorbing",
     "barrel_shapes",
     "beam",
     "camera_frame",

@@ -10,7 +10,7 @@ import difflib
 import functools
 import re
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -326,3 +326,43 @@ def glass(name: str) -> Medium:
             f"{name.strip()!r} (nearest: {offered})"
         )
     return Catalogue(page[2] if page[0] == "specs" else name.strip(), page)
+
+
+def spelled(medium: Medium) -> str:
+    """Return the text from which `glass` makes the medium.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics.glass import Abbe, spelled
+    >>> spelled(Abbe(1.5168, 64.17))
+    '1.5168:64.17'
+    """
+    if isinstance(medium, Constant):
+        return f"{medium.value:.9f}"
+    if isinstance(medium, Abbe):
+        return f"{medium.nd:.9g}:{medium.vd:.9g}" if np.isfinite(medium.vd) else f"{medium.nd:.9f}"
+    if isinstance(medium, Catalogue):
+        shelf, book, page = medium.page
+        return f"{page}_{book.split('-')[0]}" if shelf == "specs" else medium.name
+    raise PrescriptionError.expected("medium", "a glass that has a name", repr(medium))
+
+
+def absorbing(medium: Medium, scale: float = 1e-3) -> dict[str, Any]:
+    """Return the medium of a glass for a shape's ``interior``, from its internal transmittance.
+
+    Parameters
+    ----------
+    medium : Medium
+        The glass; what no catalogue has measured does not absorb.
+    scale : float
+        Scene units in a millimetre.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics.glass import Constant, absorbing
+    >>> absorbing(Constant(1.5))["sigma_t"]["value"]
+    [0.0, 0.0, 0.0]
+    """
+    rates = absorption(medium, np.array([0.610, 0.550, 0.465])) / scale
+    sigma = {"type": "rgb", "value": [float(rate) for rate in rates]}
+    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": sigma}

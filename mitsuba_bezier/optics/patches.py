@@ -12,6 +12,7 @@ from ..geometry.revolution import band, cap, disk_sectors
 from ..geometry.tensor import tensor_to_triangles
 from ..geometry.triangles import BezierTriangles
 from .beams import used_semi_diameters
+from .glass import spelled
 from .lens import Lens, Surface
 
 #: Clear radii that a prescription leaves out are this much wider than its beams.
@@ -173,6 +174,8 @@ def lens_shapes(
     to_world: np.ndarray | None = None,
     edges: bool = True,
     stop: bool = True,
+    dispersion: bool = False,
+    coating: str = "none",
 ) -> dict[str, dict[str, Any]]:
     """Return the shapes of a lens for a scene dictionary.
 
@@ -189,6 +192,10 @@ def lens_shapes(
         Rigid map from the lens to the scene.
     edges, stop : bool
         Whether the edges of elements, and the plate of the stop, are there.
+    dispersion : bool
+        Whether glass is `dispersive`, and not a dielectric of one index.
+    coating : str
+        Thin films on the surfaces that meet air, see `coating`; they need `dispersive` glass.
 
     Returns
     -------
@@ -209,7 +216,7 @@ def lens_shapes(
     """
     w = lens.wavelengths[lens.reference] if wavelength is None else wavelength
     world = np.eye(4) if to_world is None else np.asarray(to_world, float)
-    n, radii = lens.indices(w), clear_radii(lens)
+    n, radii, media = lens.indices(w), clear_radii(lens), lens.media()
     frames = world @ lens.frames()
     black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.02, 0.02, 0.02]}}
     shapes: dict[str, dict[str, Any]] = {}
@@ -231,9 +238,16 @@ def lens_shapes(
                 # its back takes no light
                 add_surface(i, _mirror())
             elif n[i] != n[i + 1]:
-                bsdf = {"type": "dielectric", "int_ior": n[i + 1], "ext_ior": n[i]}
-                if lens.directions()[i] < 0:  # light comes from the other side
-                    bsdf = {"type": "dielectric", "int_ior": n[i], "ext_ior": n[i + 1]}
+                # light may come from the other side
+                sides = (i, i + 1) if lens.directions()[i] > 0 else (i + 1, i)
+                outer, inner = (media[k] for k in sides)
+                bsdf = {"type": "dielectric", "int_ior": n[sides[1]], "ext_ior": n[sides[0]]}
+                if dispersion or coating != "none":
+                    films = coating if min(n[i], n[i + 1]) < 1.01 else "none"
+                    bsdf = {"type": "dispersive", "material": spelled(inner)}
+                    bsdf |= {"exterior": spelled(outer), "coating": films}
+                    if not dispersion:
+                        bsdf |= {"material": f"{n[sides[1]]:.9f}", "exterior": f"{n[sides[0]]:.9f}"}
                 add_surface(i, bsdf)
         except PrescriptionError as error:
             raise PrescriptionError(f"surface {i + 1}: {error}") from None

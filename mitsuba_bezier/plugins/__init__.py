@@ -25,6 +25,7 @@ PLUGINS = {
     "beziertriangle": ("shape", "shape.beziertriangle.make_shape_class"),
     "asphere": ("shape", "shape.asphere.make_asphere_class"),
     "lens": ("sensor", "lens.sensor.make_lens_class"),
+    "dispersive": ("bsdf", "dispersive.make_dispersive_class"),
     "bezierfield": ("texture", "field_texture.make_field_class"),
     "bezieraov": ("integrator", "integrators.bezieraov.make_aov_class"),
     "bezierpath": ("integrator", "integrators.bezierpath.make_path_class"),

@@ -39,6 +39,7 @@ PARAMETERS = {
         *("blades", "blade_rotation", "coating", "ghosts", "absorption", "glass"),
         *("to_world", "shutter_open", "shutter_close"),
     ),
+    "dispersive": ("material", "exterior", "coating"),
     "bezierpath": _PATH,
     "beziervolpath": _PATH,
     "bezieraov": ("aovs", "hide_emitters"),

@@ -12,7 +12,7 @@ from ...errors import PrescriptionError
 from ...optics import Lens, Medium
 from ...optics.glass import abbe_numbers, abbe_terms, absorption
 
-__all__ = ["CHANNELS", "Glass", "Light", "wavelength_place"]
+__all__ = ["CHANNELS", "COUNT", "FIRST", "LAST", "Glass", "Light", "tabulated", "wavelength_place"]
 
 #: Wavelengths in nanometres at which indices are tabulated.
 FIRST, LAST, COUNT = 360.0, 830.0, 95
@@ -61,7 +61,7 @@ class Glass:
         waves = np.linspace(FIRST, LAST, COUNT) * 1e-3
         # rows: the reference, three channels, then wavelengths; columns: media
         self._waves = np.concatenate([[reference], CHANNELS, waves])
-        rows = np.array([_table(m, self._waves, reference) for m in media]).T
+        rows = np.array([tabulated(m, self._waves, reference) for m in media]).T
         self._index = mi.Float(rows.ravel())
         scale = _MILLIMETRES[lens.unit]
         fades = np.array([scale * absorption(m, self._waves) for m in media]).T
@@ -145,7 +145,7 @@ class Moved:
         return self._medium.index(wavelength) + model(*self._numbers) - model(*start)
 
 
-def _table(medium: Medium, waves: np.ndarray, reference: float) -> np.ndarray:
+def tabulated(medium: Medium, waves: np.ndarray, reference: float) -> np.ndarray:
     """Return indices at wavelengths; beyond the range of a glass those at its ends."""
     out = np.full(len(waves), np.nan)
     for i, w in enumerate(waves):

@@ -1,0 +1,194 @@
+"""The BSDF ``dispersive``: smooth glass whose index depends on the wavelength, with thin films."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import VariantError
+from ..optics import Medium, coating, glass, reflectance
+from .lens.glass import CHANNELS, COUNT, FIRST, LAST, tabulated, wavelength_place
+from .one_color import channel_of
+
+__all__ = ["make_dispersive_class"]
+
+
+def make_dispersive_class() -> type:
+    """Return the class for the variant that is set now."""
+
+    class Dispersive(mi.BSDF):
+        r"""
+        .. _bsdf-dispersive:
+
+        Dispersive glass (:monosp:`dispersive`)
+        ---------------------------------------
+
+        .. pluginparameters::
+
+         * - material
+           - |string|
+           - What is inside: a glass of a catalogue (``N-BK7``), n_d:V_d, or an index
+             (Default: ``1.5168:64.17``).
+         * - exterior
+           - |string|
+           - What is outside, on the side of the normals (Default: ``air``).
+         * - coating
+           - |string|
+           - ``none``, ``ideal``, ``quarter_wave[:NANOMETRES]``, or layers
+             ``INDEX:NANOMETRES, ...`` from the medium of the lower index to the other
+             (Default: ``none``).
+
+        Smooth glass as :monosp:`dielectric`, with the index of each wavelength. Light that is
+        reflected keeps all of its wavelengths, or channels. One of them chooses where refracted
+        light goes, and those that would have gone elsewhere end, which the weight makes up for.
+        In rgb variants each channel has one index, and paths through two surfaces take three
+        times the samples. Paths of one wavelength, or channel, as the sensor :monosp:`lens` sends
+        them with ``dispersion``, lose nothing.
+        """
+
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            if mi.is_polarized:
+                raise VariantError("dispersive: expected a variant without polarization")
+            inside = glass(str(props.get("material", "1.5168:64.17")))
+            outside = glass(str(props.get("exterior", "air")))
+            self._names = inside.name, outside.name
+            self._layers = coating(str(props.get("coating", "none")))
+            self._inside, self._outside = _indices(inside), _indices(outside)
+            both = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            reflection = mi.BSDFFlags.DeltaReflection | both
+            transmission = mi.BSDFFlags.DeltaTransmission | both | mi.BSDFFlags.NonSymmetric
+            self.m_components = [reflection, transmission]
+            self.m_flags = reflection | transmission
+
+        def sample(
+            self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            """Return a direction and the weights of wavelengths, or channels."""
+            cosine = mi.Frame3f.cos_theta(si.wi)
+            active = mi.Mask(active) & (cosine != 0)
+            front = cosine > 0
+            before, behind, waves = self._lanes(si, front)
+            lanes = range(len(before))
+            across = dr.minimum(dr.abs(cosine), 1.0)
+            share = [
+                _mirrored(a, b, across, w, self._layers) for a, b, w in zip(before, behind, waves)
+            ]
+            passed = [1.0 - r for r in share]
+            mirrored, through = sum(share) / len(lanes), sum(passed)
+            reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
+            transmits = ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1)
+            chance = mirrored if reflects and transmits else mi.Float(1.0 if reflects else 0.0)
+            back = sample1 < chance
+            # what is left of the number is uniform again: a lane is chosen by what it lets through
+            rest = (sample1 - chance) / dr.maximum(1.0 - chance, 1e-7) * through
+            n1, n2 = mi.Float(before[0]), mi.Float(behind[0])
+            for a, b, t in zip(before[1:], behind[1:], passed):
+                rest = rest - t
+                later = rest >= 0
+                n1, n2 = dr.select(later, a, n1), dr.select(later, b, n2)
+            m = n1 / n2
+            square = 1.0 - m * m * (1.0 - cosine * cosine)
+            agree = [(a == n1) & (b == n2) for a, b in zip(before, behind)]
+            same = sum(dr.select(ok, t, 0.0) for ok, t in zip(agree, passed))
+            # radiance is spread over another solid angle
+            spread = m * m if ctx.mode == mi.TransportMode.Radiance else mi.Float(1.0)
+            part = same / dr.maximum(through, 1e-12) * (1.0 - chance)
+            weights = []
+            for r, t, ok in zip(share, passed, agree):
+                one = dr.select(chance > 0, r / dr.maximum(chance, 1e-12), 0.0)
+                two = dr.select(ok & (same > 0), t / dr.maximum(part, 1e-12) * spread, 0.0)
+                weights.append(dr.select(active, dr.select(back, one, two), 0.0))
+            out = dr.sqrt(dr.maximum(square, 0.0))
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = dr.select(
+                back,
+                mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z),
+                mi.Vector3f(-m * si.wi.x, -m * si.wi.y, dr.select(front, -out, out)),
+            )
+            bs.eta = dr.select(back, 1.0, n2 / n1)
+            bs.pdf = dr.select(active, dr.select(back, chance, part), 0.0)
+            bs.sampled_component = dr.select(back, mi.UInt32(0), mi.UInt32(1))
+            bs.sampled_type = dr.select(
+                back,
+                mi.UInt32(+mi.BSDFFlags.DeltaReflection),
+                mi.UInt32(+mi.BSDFFlags.DeltaTransmission),
+            )
+            return bs, mi.Spectrum(*weights) if len(weights) > 1 else mi.Spectrum(weights[0])
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            """Return zero: no direction that is not sampled carries light."""
+            return mi.Spectrum(0.0)
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            """Return zero, see `eval`."""
+            return mi.Float(0.0)
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
+            """Return zeros, see `eval`."""
+            return mi.Spectrum(0.0), mi.Float(0.0)
+
+        def _lanes(self, si: Any, front: Any) -> tuple[list[Any], list[Any], list[Any]]:
+            """Return indices before and behind, and nanometres, of each wavelength or channel."""
+            before: list[Any] = []
+            behind: list[Any] = []
+            waves: list[Any] = []
+            if mi.is_spectral:
+                for k in range(len(si.wavelengths)):
+                    w = si.wavelengths[k]
+                    place = wavelength_place(w)
+                    row = mi.UInt32(place)
+                    pair = [
+                        dr.lerp(
+                            dr.gather(mi.Float, table, row + 4),
+                            dr.gather(mi.Float, table, row + 5),
+                            place - mi.Float(row),
+                        )
+                        for table in (self._outside, self._inside)
+                    ]
+                    _append(pair, w, front, (before, behind, waves))
+            elif mi.is_rgb:
+                channel, known = channel_of(si.time)
+                for k, w in enumerate(CHANNELS):
+                    row = dr.select(known, channel, k) + 1
+                    pair = [dr.gather(mi.Float, t, row) for t in (self._outside, self._inside)]
+                    _append(pair, 1e3 * w, front, (before, behind, waves))
+            else:
+                row = mi.UInt32(0)
+                pair = [dr.gather(mi.Float, t, row) for t in (self._outside, self._inside)]
+                _append(pair, 587.6, front, (before, behind, waves))
+            return before, behind, waves
+
+        def to_string(self) -> str:
+            return f"Dispersive[{self._names[0]} in {self._names[1]}]"
+
+    return Dispersive
+
+
+def _append(pair: list[Any], wave: Any, front: Any, lanes: tuple[list[Any], ...]) -> None:
+    outside, inside = pair
+    lanes[0].append(dr.select(front, outside, inside))
+    lanes[1].append(dr.select(front, inside, outside))
+    lanes[2].append(wave)
+
+
+def _indices(medium: Medium) -> Any:
+    """Return indices on the device: at the d line, of three channels, and at equal steps."""
+    steps = np.linspace(FIRST, LAST, COUNT) * 1e-3
+    return mi.Float(tabulated(medium, np.concatenate([[0.5875618], CHANNELS, steps]), 0.5875618))
+
+
+def _mirrored(before: Any, behind: Any, cosine: Any, wave: Any, layers: Any) -> Any:
+    """Return the share that is reflected; layers are on the side of the lower index."""
+    ratio = before / behind
+    total = 1.0 - ratio * ratio * (1.0 - cosine * cosine) <= 0
+    if layers is None:
+        return dr.select(total, mi.Float(1.0), 0.0)
+    low, high = dr.minimum(before, behind), dr.maximum(before, behind)
+    square = 1.0 - (before / low) ** 2 * (1.0 - cosine * cosine)
+    share = reflectance(low, high, dr.sqrt(dr.maximum(square, 0.0)), wave, layers, m=dr)
+    share = dr.select(before == behind, 0.0, share) if not layers else share
+    return dr.select(total, 1.0, dr.clip(share, 0.0, 1.0))
