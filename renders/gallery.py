@@ -126,7 +126,7 @@ PICTURES = (
     Picture("duerer_eye", "duerer", 512, 288, 128, "The same from the eye point", ("-s", "1")),
     Picture("figure2", "figure2", 512, 288, 128, "Four triangles and six lunes tile the sphere"),
     Picture("paraboloids", "paraboloids", 512, 288, 128, "Quadrics as images of one paraboloid"),
-    Picture("weights", "weights", 640, 240, 128, "One weight from large through zero to negative"),
+    Picture("weights", "weights", 512, 288, 128, "One weight from large through zero to negative"),
     Picture("developable", "developable", 512, 288, 128, "A developable and its regression curve"),
     Picture("decasteljau", "decasteljau", 512, 288, 64, "De Casteljau's scheme of a cubic"),
     Picture("farin", "farin", 512, 288, 64, "Farin points: evaluation by cross ratios"),
@@ -193,7 +193,7 @@ def drawn() -> list[tuple[str, str]]:
 
 #: What `scenes/inverse_quadric.py` makes.
 INVERSE = (
-    ("inverse_quadric.png", "A quadric found from its picture by derivatives of control points"),
+    ("inverse_quadric.png", "A quadric found from four pictures; dotted: the target's boundary"),
     ("inverse_quadric_loss.svg", "The loss, step by step"),
 )
 
@@ -231,7 +231,8 @@ the versions. Seeds are 0. The models come from the `make_*.py` scripts in [scen
 
 [index.html](index.html) shows the same as thumbnails, [verification.html](verification.html) the
 intersections against formulas; both are to be opened from a checkout. The pictures of the lecture
-are explained in [lecture.md](lecture.md).
+are explained in [lecture.md](lecture.md). Those that are drawn over a render are denoised, at 1600
+pixels; the references are not.
 """
 
 

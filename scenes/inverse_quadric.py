@@ -8,7 +8,8 @@ are 18 coordinates and three weights; those of the corners are one, which the pa
 patch leave free. `bezier_direct_projective` gives the derivatives, shading and outline; without
 the outline the search goes astray.
 
-Writes ``inverse_quadric.png`` (rows: target, start, found with the outline, found without it)
+Writes ``inverse_quadric.png`` (rows: target, start, found with the outline, found without it; the
+target's boundary is drawn over each)
 and ``inverse_quadric_loss.svg``, and prints what was found.
 """
 
@@ -26,7 +27,6 @@ import mitsuba as mi  # isort: skip
 import numpy as np
 
 from mitsuba_bezier._files import write_file
-from mitsuba_bezier.verification import png
 
 KEY = "surface.control_points"
 CORNERS, MIDDLE = [0, 3, 5], [1, 2, 4]
@@ -255,16 +255,50 @@ def write_plot(name: Path, curves: dict[str, list[float]]) -> None:
     write_file(name, "\n".join([*lines, "</svg>\n"]).encode())
 
 
-def write_pictures(name: Path, nets: list[np.ndarray]) -> None:
-    """Write what the four cameras see of each net, a net a row."""
+def write_pictures(path: Path, nets: dict[str, np.ndarray]) -> None:
+    """Write what the four cameras see of each net, a net a row, with the target's outline over it.
+
+    Needs the extra ``figures``.
+    """
+    import io
+
+    from matplotlib.figure import Figure
+
+    from mitsuba_bezier import figures
+
     exact = mi.load_dict({"type": "bezierpath", "max_depth": 2})
-    rows = []
-    for net in nets:
-        pictures = render(scene_of(net, 128), exact, 64, 0)
-        rows.append(np.concatenate([np.array(p) for p in pictures], axis=1))
-    image = mi.Bitmap(np.concatenate(rows).astype(np.float32))
-    shown = image.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True)
-    write_file(name, png.encode(np.array(shown)))
+    side = 320
+    wanted = mb.BezierTriangles(nets["target"][None])
+    sheet = Figure(figsize=(16, 13.2), dpi=100)
+    first, width, height = 0.155, 0.845 / len(EYES), 0.955 / len(nets)
+    for row, (name, net) in enumerate(nets.items()):
+        scene = scene_of(net, side)
+        low = 1 - 0.04 - (row + 1) * height
+        sheet.text(0.012, low + height / 2, name, fontsize=15, va="center", linespacing=1.4)
+        for column, picture in enumerate(render(scene, exact, 256, 0)):
+            camera = mb.Camera.from_parameters(mi.traverse(scene.sensors()[column]))
+            drawing = figures.overlay(on_grey(np.array(picture), scene, camera), camera)
+            drawing.boundary(wanted, "third", linewidth=3.0)
+            axes = sheet.add_axes((first + column * width, low, width * 0.985, height * 0.985))
+            axes.imshow(drawing.pixels(400))
+            axes.set_axis_off()
+            if row == 0:
+                sheet.text(first + (column + 0.5) * width, 0.972, f"camera {column + 1}",
+                           fontsize=15, ha="center")  # fmt: skip
+    buffer = io.BytesIO()
+    sheet.savefig(buffer, format="png")
+    write_file(path, buffer.getvalue())
+
+
+def on_grey(picture: np.ndarray, scene: Any, camera: mb.Camera) -> np.ndarray:
+    """Return a picture, linear, whose pixels beside the surface are light grey."""
+    h, w = picture.shape[:2]
+    y, x = np.mgrid[0:h, 0:w] + 0.5
+    d = camera.direction(np.stack([x.ravel(), y.ravel()], axis=1))
+    d /= np.linalg.norm(d, axis=1)[:, None]
+    ray = mi.Ray3f(mi.Point3f(camera.center[:3].tolist()), mi.Vector3f(np.float32(d.T)))
+    hit = np.array(scene.ray_test(ray)).reshape(h, w)
+    return np.where(hit[..., None], picture, 0.85)
 
 
 def main() -> None:
@@ -296,7 +330,11 @@ def main() -> None:
             f"weights by {weight:.4f}, the surface by {off_the_quadric(net, target):.5f}"
         )
         write_plot(options.out / "inverse_quadric_loss.svg", curves)
-        write_pictures(options.out / "inverse_quadric.png", [target, start, *results.values()])
+    found = {f"found by\n{label}": net for label, net in results.items()}
+    write_pictures(
+        options.out / "inverse_quadric.png",
+        {"target": target, "start:\na plane triangle": start, **found},
+    )
 
 
 if __name__ == "__main__":

@@ -58,26 +58,35 @@ BALLAST, SLEEPER = 0.3, 0.08
 
 def railroad() -> dict[str, BezierTriangles]:
     """Return the parts of the railroad along +y: everything long ends at the horizon."""
-    y = 0.65 * np.arange(-12, 600)
+    y = 0.65 * np.arange(-12, 1600)
     top = BALLAST + SLEEPER
     lower = np.column_stack([np.full(len(y), -1.25), y, np.full(len(y), BALLAST - 0.05)])
     upper = np.column_stack([np.full(len(y), 1.25), y + 0.26, np.full(len(y), top)])
-    near = 100  # beyond, only the tops of the sleepers are larger than a pixel
+    near = 100  # beyond, only the tops and the fronts of the sleepers are seen
     sleepers = [
         boxes(lower[:near], upper[:near], ("+z", "-y", "-x", "+x")),
-        boxes(lower[near:], upper[near:], ("+z",)),
+        boxes(lower[near:], upper[near:], ("+z", "-y")),
+        # beyond a kilometre fronts and tops hide what lies between: a strip to the horizon
+        prism([(-1.25, top), (1.25, top)], y[-1] + 0.65),
     ]
     behind = -20.0
     ballast = prism([(-2.6, 0), (-1.7, BALLAST), (1.7, BALLAST), (2.6, 0)], behind)
     # wires pass over the arms of the posts
-    posts_y = 14.0 * np.arange(1, 45) - 6
+    posts_y = 14.0 * np.arange(1, 401) - 6  # the last one is as high as a pixel
     x = -6.0
     size = np.array([0.11, 0.11, 0])
     feet = np.column_stack([np.full(len(posts_y), x), posts_y, np.zeros(len(posts_y))])
-    posts = boxes(feet - size, feet + size + (0, 0, 6.3), ("+z", "-y", "-x", "+x"))
-    arms = boxes(
-        feet - (0.9, 0.08, -5.6), feet - (-0.9, -0.08, -5.8), ("+z", "-z", "-y", "-x", "+x")
+    heads = feet + size + (0, 0, 6.3)
+    low, high = feet - (0.9, 0.08, -5.6), feet - (-0.9, -0.08, -5.8)
+    whole, seen = slice(None, 45), slice(45, None)
+    posts = BezierTriangles.join(
+        [
+            boxes((feet - size)[whole], heads[whole], ("+z", "-y", "-x", "+x")),
+            boxes((feet - size)[seen], heads[seen], ("-y", "+x")),
+            boxes(low[seen], high[seen], ("-z", "-y")),
+        ]
     )
+    arms = boxes(low[whole], high[whole], ("+z", "-z", "-y", "-x", "+x"))
     wires = [
         prism([(x + a, 5.83), (x + a - 0.015, 5.845), (x + a, 5.86), (x + a + 0.015, 5.845),
                (x + a, 5.83)], behind)
@@ -208,10 +217,10 @@ def shown(member: Member) -> tuple[BezierTriangles, np.ndarray]:
 
 # ---------------------------------------------------------------------- weights and infinity
 
-#: The weight of the control point in the middle of the front edge, from left to right.
-WEIGHTS = (6.0, 1.0, 0.25, 0.0, -0.45, -1.2)
-#: Distance of the copies in the picture.
-WEIGHTS_STEP = 2.35
+#: The weight of the control point in the middle of the front edge, row by row.
+WEIGHTS = (6.0, 1.0, 0.25, 0.0, -0.25, -0.45)
+#: Distance of the copies in the picture, to the right and downwards: two rows of three.
+WEIGHTS_STEP = (2.9, 2.75)
 _WEIGHT_POINTS = np.array(
     [[-1, 0, 0], [0, 0, 1.5], [-0.5, 0.6, 0.9], [1, 0, 0], [0.5, 0.6, 0.9], [0, 1.2, 0.1]]
 )
@@ -228,7 +237,8 @@ def weights() -> dict[str, BezierTriangles]:
     out = {}
     for k, weight in enumerate(WEIGHTS):
         move = np.eye(4)
-        move[0, 3] = (k - (len(WEIGHTS) - 1) / 2) * WEIGHTS_STEP
+        move[0, 3] = (k % 3 - 1) * WEIGHTS_STEP[0]
+        move[2, 3] = -(k // 3) * WEIGHTS_STEP[1]
         out[f"{k}"] = BezierTriangles(weighted_net(weight)).transform(move)
     return out
 
@@ -238,12 +248,11 @@ def weights_tubes() -> tuple[list[np.ndarray], list[np.ndarray]]:
     legs, edges = [], []
     # rows of the control points at the ends of the legs
     pairs = ((0, 1), (0, 2), (1, 2), (1, 3), (1, 4), (3, 4), (2, 4), (2, 5), (4, 5))
-    for patch, weight in zip(weights().values(), WEIGHTS):
+    for patch in weights().values():
         x = _WEIGHT_POINTS + patch.control_points[0, 0, :3] - _WEIGHT_POINTS[0]
         legs += [segment(x[a], x[b], 0.012) for a, b in pairs]
-        if weight > -1:
-            arc = BezierCurve(patch.control_points[0, [0, 1, 3]])
-            edges.append(tube(arc.points, 32, 0.025))
+        arc = BezierCurve(patch.control_points[0, [0, 1, 3]])
+        edges.append(tube(arc.points, 32, 0.025))
     return legs, edges
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from ..errors import GeometryError
 from ..geometry.camera import Camera
 from ..geometry.isoparametric import isoparametric
-from ..geometry.projective import numbers
+from ..geometry.projective import number, numbers
 from .drawing import SUFFIXES, camera_window
 from .sampling import Window
 from .schemes import Schemes
@@ -172,7 +172,7 @@ def draw(name: str, style: str = "screen", **arguments: Any) -> Drawing:
     Raises
     ------
     GeometryError
-        If there is no such figure, or it does not take an argument.
+        If there is no such figure, or it does not take an argument, or not this value.
     """
     import inspect
 
@@ -182,8 +182,10 @@ def draw(name: str, style: str = "screen", **arguments: Any) -> Drawing:
         raise GeometryError.expected("name", "one of " + ", ".join(CATALOGUE), repr(name))
     make = CATALOGUE[name]
     known = [p for p in inspect.signature(make).parameters if p != "style"]
-    for key in arguments:
+    for key, value in arguments.items():
         if key not in known:
             what = "one of " + ", ".join(known) if known else "no argument"
             raise GeometryError.expected(f"argument of {name}", what, repr(key))
+        if value is not None:
+            number(value, key)
     return make(style=style, **arguments)

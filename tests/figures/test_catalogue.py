@@ -12,6 +12,7 @@ pytest.importorskip("matplotlib", reason="figures need the extra 'figures'")
 
 from mitsuba_bezier import figures
 from mitsuba_bezier.cli.main import main
+from mitsuba_bezier.errors import GeometryError
 from mitsuba_bezier.figures.catalogue import CATALOGUE
 
 
@@ -80,6 +81,12 @@ def test_the_command_lists_and_draws(capsys, tmp_path):
         (["decasteljau", "--set", "t=much"], "--set: expected KEY=NUMBER"),
         (["decasteljau", "--set", "q=1"], "argument of decasteljau"),
         (["decasteljau", "--set", "t=nan"], "t: expected finite numbers"),
+        (["photograph", "--set", "x=nan"], "x: expected finite numbers"),
+        (
+            ["pole_and_polar", "--set", "x=0", "--set", "y=0"],
+            "x, y: expected a point outside of the",
+        ),
+        (["sphere_point", "--set", "height=1"], "height: expected a point of the sphere"),
         (["bernstein", "--set", "n=1e9"], "n: expected an integer from 1 to 8"),
         (["bernstein_triangle", "--set", "n=0"], "n: expected an integer >= 1"),
         (["developable", "--set", "rulings=2.5"], "rulings: expected an integer >= 2"),
@@ -94,3 +101,18 @@ def test_mistakes_take_one_line(words, says, capsys, tmp_path, monkeypatch):
     err = capsys.readouterr().err
     assert says in err and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_what_moves_is_a_number():
+    with pytest.raises(GeometryError, match="t: expected"):
+        figures.draw("decasteljau", t="half")
+    with pytest.raises(GeometryError, match="weight: expected one number"):
+        figures.draw("conics_by_weight", weight=[1, 2])
+
+
+def test_in_a_film_numbers_have_two_decimals():
+    from mitsuba_bezier.figures.catalogue._arguments import shown
+
+    assert [shown(x) for x in (0.4, 1 / 3, -1e-9, -0.414213, 1e16)] == [
+        "0.4", "0.33", "0", "-0.41", "\\infty",
+    ]  # fmt: skip

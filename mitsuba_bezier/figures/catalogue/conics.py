@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...errors import GeometryError
 from ...geometry.conic_elements import conic_by_focus, conic_elements
 from ...geometry.conics import conic_matrix
 from ...geometry.cross_ratio import cross_ratio
@@ -56,6 +57,8 @@ def pole_and_polar(style: str = "screen", x: float = 4.6, y: float = 1.7) -> Dra
     d = plane((-4.2, 6.2), (-2.5, 3.35), style)
     a = np.diag([1 / 9.0, 1 / 4.2, -1.0])
     p = point([x, y])
+    if not p @ a @ p > 0:
+        raise GeometryError.expected("x, y", "a point outside of the ellipse", f"{x:g}, {y:g}")
     line = polar(a, p)
     d.conic(a)
     d.line(line, kind="tangent")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...errors import GeometryError
 from ...geometry.camera import Camera, look_at
 from ...geometry.conics import circle
 from ...geometry.covers import quadric_cover, sphere
@@ -80,6 +81,8 @@ def sphere_point(style: str = "screen", height: float = 0.5) -> Drawing:
     d = space(_camera((2.2, -5.6, 2.0), (0.0, 0, 0.16), 38), style)
     d.surface(sphere(), 24, grey=(0.86, 0.99))
     d.quadric_outline(SPHERE, "line")
+    if not height**2 <= 1 - 0.7**2:
+        raise GeometryError.expected("height", "a point of the sphere above x = -0.7", height)
     s = np.array([-0.7, -np.sqrt(1 - 0.7**2 - height**2), height])
     x = np.array([[0.1, -0.95, -0.3], [0.95, -0.2, -0.1], [0.3, -0.35, 0.89]])
     x /= np.linalg.norm(x, axis=1)[:, None]
