@@ -52,7 +52,7 @@ def asphere_tracer(surface: EvenAsphere) -> Tracer:
 
 
 def aspheres(rng: Rng, scale: float) -> Iterator[Line]:
-    """Rays from all sides, eight kinds of them, against the sag in float64; any hit, too."""
+    """Rays from all sides, nine kinds of them, against the sag in float64; any hit, too."""
     for name, surface in ASPHERES.items():
         tracer = asphere_tracer(surface)
         count, judged, wrong, differs, worst = scaled(400_000, scale), 0, 0, 0, 0.0

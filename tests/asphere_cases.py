@@ -26,14 +26,18 @@ def rays_at(surface: EvenAsphere, count: int, seed: int) -> tuple[np.ndarray, ..
     """Return origins and directions in float32, and the kind ``(N,)`` of each ray.
 
     0 at points of the surface, 1 beside them along tangents, 2 at them nearly along tangents, 3
-    along the axis, 4 from far away, 5 close to the rims, 6 through the vertex, 7 beside it all.
+    along the axis, 4 from far away, 5 close to the rims, 6 through the vertex, 7 beside it all, 8
+    just inside of the rims and nearly along tangents.
     """
     rng = np.random.default_rng(seed)
-    size, kind = surface.aperture, np.arange(count) % 8
+    size, kind = surface.aperture, np.arange(count) % 9
     r = size * np.sqrt(rng.random(count))
     rim = np.where(rng.random(count) < 0.5, surface.inner or size, size)
     r = np.where(kind == 5, rim + size * 1e-4 * rng.normal(size=count), r)
     r = np.where(kind == 6, 0.0, r)
+    r = np.where(
+        kind == 8, rim + (rim != surface.inner) * -size * 10 ** -rng.uniform(4, 6, count), r
+    )
     angle = rng.random(count) * 2 * np.pi
     sag, slope, _ = surface.derivatives(np.minimum(r, size) ** 2)
     target = np.stack([r * np.cos(angle), r * np.sin(angle), sag], axis=1)
@@ -45,7 +49,8 @@ def rays_at(surface: EvenAsphere, count: int, seed: int) -> tuple[np.ndarray, ..
     beside = size * rng.choice([-1, 1], count) * 10 ** -rng.uniform(1, 6, count)
     target = np.where((kind == 1)[:, None], target + beside[:, None] * normal, target)
     flat = tangent + 10 ** -rng.uniform(1, 4, (count, 1)) * normal
-    d = np.where((kind == 1)[:, None], tangent, np.where((kind == 2)[:, None], flat, d))
+    grazes = (kind == 2) | (kind == 8)
+    d = np.where((kind == 1)[:, None], tangent, np.where(grazes[:, None], flat, d))
     d = np.where((kind == 3)[:, None], [[0.0, 0.0, 1.0]] * rng.choice([-1, 1], (count, 1)), d)
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     target = np.where((kind == 7)[:, None], size * rng.uniform(-1.3, 1.3, (count, 3)), target)

@@ -73,6 +73,7 @@ class _Exact:
     low: Any  #: bounds of it, where there are some
     high: Any
     real: Any  #: Bool: whether there is a root at all
+    side: Any  #: of the surface on which the ray is where the search began
 
 
 def revolution_hit(query: Query, number: Any, rays: Rays, active: Any) -> Found:
@@ -146,16 +147,19 @@ class _March:
             root = run & root
             exact = self._exactly(place, root)
             found, hit = self._accept(root & exact.real, exact, found)
-            # on the other side, if there was one
+            # on the other side, if there was one; where it only had to find its side, as before
+            asked = root & (place.sign == 0.0)
             ahead = ty.Float(exact.tau) - place.tau
             ahead = dr.select(exact.real, ahead + _PUSH, dr.clip(ahead, _ON, _BEFORE))
-            tau = place.tau + dr.select(place.between, 0.0, ahead)
+            ahead = dr.select(place.between | asked, 0.0, ahead)
+            sign = dr.select(root & exact.real, -place.sign, place.sign)
+            known = dr.select(root & exact.real, _NOWHERE, place.known)
             place = _Place(
                 place.step,
-                dr.select(root, tau, place.tau),
-                dr.select(root & exact.real, -place.sign, place.sign),
+                dr.select(root, place.tau + ahead, place.tau),
+                dr.select(asked, exact.side, sign),
                 place.fresh | root,
-                dr.select(root & exact.real, _NOWHERE, place.known),
+                dr.select(asked, place.tau, known),
                 place.between & ~root,
             )
             run = root & ~hit & (place.tau <= self.end) & (place.step < _MAX_STEPS)
@@ -214,7 +218,9 @@ class _March:
         # direction in common, roots are below rounding: so the ray may be on the other side now
         wrong = place.fresh & (place.sign * value < -8.0 * noise)
         between = wrong & (place.known > _NOWHERE)
-        unsure = (place.sign == 0.0) | (wrong & ~between)
+        # where the march begins close to the surface, float64 tells the side
+        unknown = (place.sign == 0.0) & (dr.abs(value) <= 8.0 * noise)
+        unsure = ((place.sign == 0.0) & ~unknown) | (wrong & ~between)
         sign = dr.select(unsure, dr.copysign(ty.Float(1), value), place.sign)
         bend = dr.select(sign > 0.0, -most, least)
         bend = bend * dr.select(bend < 0.0, largest, smallest)
@@ -222,7 +228,8 @@ class _March:
         half = 0.5 * bend - a * dr.fma(sign, f1, spread)
         height, falling = sign * value - off, sign * slope
         fresh = place.fresh & (height < 4.0 * noise)
-        root = between | ((~fresh | (falling < 0.0)) & (height <= 2.0 * noise))
+        root = (~fresh | (falling < 0.0)) & (height <= 2.0 * noise)
+        root = root | between | unknown
         known = dr.select(height > 4.0 * noise, tau, place.known)
         # less what rounding may add to the height: float64 decides whether a ray grazes or misses
         num, den, exists = root_fraction(dr.maximum(height - noise, 0.0), falling, half)
@@ -256,7 +263,8 @@ class _March:
             num = dr.select(ahead, -2.0 * value, out - slope)
             den = dr.select(ahead, slope + out, second)
             move = dr.clip(num / dr.select(den == 0.0, 1.0, den), -_FAR, _FAR)
-            real = (disc >= 0.0) & (dr.abs(move) <= 1e-6)
+            real = (disc >= 0.0) & (dr.abs(move) <= 1e-6) & (side != 0.0)
+            here = dr.select(found.step == 0, dr.copysign(ty.Float(1), ty.Float(value)), found.side)
             low = dr.select(side * value > 0.0, tau, found.low)
             high = dr.select(side * value > 0.0, found.high, tau)
             bisect = ((found.step & 1) == 1) | (tau + move <= low) | (tau + move >= high)
@@ -264,12 +272,12 @@ class _March:
             then = dr.select(bisect, 0.5 * (low + high), tau + move)
             step = found.step + 1
             most = dr.select(place.between, ty.UInt(_BETWEEN_STEPS), _EXACT_STEPS)
-            go = go & (dr.abs(then - tau) > 1e-9) & (step < most)
-            return go, _Exact(step, then, low, high, real | place.between)
+            go = go & (dr.abs(then - tau) > 1e-9) & (step < most) & (side != 0.0)
+            return go, _Exact(step, then, low, high, real | place.between, here)
 
         tau = f64(place.tau)
         low = dr.select(place.between, f64(place.known), tau)
-        begins = _Exact(ty.UInt(0), 0.5 * (low + tau), low, tau, ty.Bool(False))
+        begins = _Exact(ty.UInt(0), 0.5 * (low + tau), low, tau, ty.Bool(False), dr.zeros(ty.Float))
         return dr.while_loop(
             (root, begins),
             cond=lambda *st: st[0],

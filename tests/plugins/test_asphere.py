@@ -326,3 +326,23 @@ def test_bad_parameters_are_one_line(parameters, message):
         mi.load_dict({"type": "asphere", **parameters})
     assert message in str(error.value)
     assert str(error.value).count("\n") == 0
+
+
+def test_frozen_functions_follow_an_update():
+    shape = mi.load_dict(LENS)
+    scene = mi.load_dict({"type": "scene", "lens": shape})
+
+    @dr.freeze
+    def distance(scene, o):
+        return scene.ray_intersect(mi.Ray3f(o, mi.Vector3f(0, 0, -1))).t
+
+    o = mi.Point3f([0.0, 3.0, 6.0], 0.0, 40.0)
+    scene.ray_intersect(mi.Ray3f(o, mi.Vector3f(0, 0, -1)))  # the structure, before it is frozen
+    for terms in ((0, 1e-5), (1e-3, -1e-6)):
+        params = mi.traverse(scene)
+        params["lens.coefficients"] = mi.TensorXf(np.float32(terms))
+        params.update()
+        scene.ray_intersect(mi.Ray3f(o, mi.Vector3f(0, 0, -1)))
+        want = 40 - EvenAsphere(1 / 50, 12.5, -1.2, terms).sag(np.array([0.0, 9.0, 36.0]))
+        for _again in range(2):
+            assert np.array(distance(scene, o)) == pytest.approx(want, rel=1e-7)
