@@ -24,7 +24,6 @@ from render_cases import (
 )
 
 from mitsuba_bezier.cli._scene import load
-from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.plugins.integrators.media import Media, transmittance
 from mitsuba_bezier.plugins.scene import SceneRays
 
@@ -334,13 +333,6 @@ def test_defaults():
 def test_bad_parameters(parameters, message):
     with pytest.raises(RuntimeError, match=message):
         beziervolpath(**parameters)
-
-
-def test_derivatives_are_refused():
-    scene = lamp_in_fog("native")
-    gradient = dr.ones(mi.TensorXf, (20, 48, 3))
-    with pytest.raises(BezierError, match="a render without derivatives"):
-        beziervolpath().render_backward(scene, mi.traverse(scene), gradient, spp=1)
 
 
 def test_the_command_line_replaces_volpath(tmp_path):

@@ -9,13 +9,15 @@ import drjit as dr
 import mitsuba as mi
 
 from ... import _runtime
-from ...errors import BezierError
 from ..interaction import Preliminary
 from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
+from .chains import has_delta
 from .depths import check_depths
 from .emitters import EmitterSampling
 from .media import Media, flight_channel, flight_weight, hit_distance, transmittance
+from .medium_adjoint import MediumAdjoint
+from .path_replay import relative
 from .path_tracing import mis_weight, russian_roulette
 
 __all__ = ["make_volpath_class"]
@@ -55,7 +57,8 @@ def make_volpath_class() -> type:
         taken by the formula, not by chance; the colour that chooses a distance is drawn for each
         flight, not for each path; and hidden emitters let rays pass inside of media, too.
 
-        Derivatives are not implemented.
+        Derivatives by path replay have the estimator of `prbvolpath`: by media (in reverse mode),
+        materials and lights. By what moves they are refused.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -81,12 +84,15 @@ def make_volpath_class() -> type:
             **kwargs: Any,
         ) -> tuple[Any, ...]:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
-            if mode != dr.ADMode.Primal:
-                raise BezierError.expected(
-                    "beziervolpath", "a render without derivatives (bezierpath has them)", mode
+            if mode == dr.ADMode.Primal:
+                L, valid = _trace(self, scene, sampler, ray, active, self._sensor_medium)
+                return L, valid, [], L
+            adjoint = MediumAdjoint(scene, mode)
+            with SceneRays(scene).attach(mode):
+                δL, valid = _trace(
+                    self, scene, sampler, ray, active, self._sensor_medium, adjoint, δL, state_in
                 )
-            L, valid = _trace(self, scene, sampler, ray, active, self._sensor_medium)
-            return L, valid, [], L
+            return δL, valid, [], state_in
 
         def to_string(self) -> str:
             return (
@@ -105,12 +111,25 @@ def _as_reference(p: Any, n: Any, like: Any) -> Any:
 
 
 def _trace(
-    integrator: Any, scene: Any, sampler: Any, ray: Any, active: Any, sensor_medium: Any
+    integrator: Any,
+    scene: Any,
+    sampler: Any,
+    ray: Any,
+    active: Any,
+    sensor_medium: Any,
+    adjoint: MediumAdjoint | None = None,
+    δL: Any = None,
+    radiance: Any = None,
 ) -> tuple[Any, Any]:
-    """Trace one path a lane; return its radiance and whether it met anything."""
+    """Trace one path a lane; return its radiance and whether it met anything.
+
+    With `adjoint` the paths of `radiance` are traced again, and differentiated: what is returned
+    is then the derivative of the radiance (Forward), or `δL` (Backward).
+    """
     rays = SceneRays(scene)
     emitters = EmitterSampling(rays)
     media = Media(scene, sensor_medium)
+    delta = has_delta(scene)
     context = mi.BSDFContext()
     max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
     hide = integrator.hide_emitters
@@ -136,11 +155,15 @@ def _trace(
         "direct": mi.Bool(True),  # emitters met now cannot have been sampled from there
         "sampler": sampler,
     }
+    if adjoint is not None:  # what is to come, and the derivative
+        state["result"] = mi.Spectrum(radiance)
+        state["derivative"] = mi.Spectrum(0.0 if δL is None else δL)
 
     def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         ray, medium, sampler = mi.Ray3f(st["ray"]), st["medium"], st["sampler"]
         active, depth, throughput = st["active"], st["depth"], st["throughput"]
         collides = scatters = mi.Bool(False)
+        before, terms = st["result"], []
 
         # ---- a flight through the medium, up to the next surface at the most
         if media:
@@ -168,6 +191,11 @@ def _trace(
                 ray.o = dr.select(null, mei.p, ray.o)
                 hit.pi.t = dr.select(null, hit.pi.t - mei.t, hit.pi.t)
             weight = dr.select(scatters, weight * mei.sigma_s, weight)
+            if adjoint is not None:
+                null = collides & ~scatters
+                with dr.resume_grad():
+                    change = adjoint.flight(medium, mei, distance, inside, scatters, null)
+                    terms.append(before * change)
             throughput = throughput * mi.Spectrum(dr.select(inside, weight, 1.0))
             depth = dr.select(scatters, depth + 1, depth)
             active = active & (depth < max_depth)
@@ -187,9 +215,10 @@ def _trace(
         direct = st["direct"] | (depth == 0)
         pdf = emitters.pdf(st["last"], ds, si, hit, emits & ~direct)
         share = dr.select(direct, 1.0, mis_weight(st["last_pdf"], pdf))
-        result = st["result"] + dr.select(
-            emits, throughput * ds.emitter.eval(si, emits) * share, 0.0
-        )
+        with dr.resume_grad(when=adjoint is not None):
+            emitted = dr.select(emits, throughput * ds.emitter.eval(si, emits) * share, 0.0)
+        result = st["result"] + emitted if adjoint is None else before - dr.detach(emitted)
+        terms.append(emitted)
         surface = surface & si.is_valid()
         bounces = surface & ~passes
         bsdf = si.bsdf(ray)
@@ -200,17 +229,18 @@ def _trace(
         if media:
             asks = asks | (scatters & medium.use_emitter_sampling())
             ref.p, ref.n = dr.select(scatters, mei.p, si.p), dr.select(scatters, 0.0, si.n)
-        ds, em_weight, end_err = emitters.sample(ref, sampler.next_2d(asks), asks)
+        ds, em_weight, end_err, end = emitters.sample_hit(ref, sampler.next_2d(asks), asks)
         asks = asks & (ds.pdf != 0.0)
         crosses = surface & si.is_medium_transition()
         into = dr.select(crosses, si.target_medium(ds.d), medium)
         shadow = spawn_ray_to(ref, p_err, ds.p, ds.n, end_err)
-        arrives = em_weight * transmittance(
-            rays, media, shadow.ray, into, sampler, asks, shadow.reach
-        )
+        again = None if adjoint is None else sampler.clone()
+        through = transmittance(rays, media, shadow.ray, into, sampler, asks, shadow.reach)
+        arrives = em_weight * through
         wo = si.to_local(ds.d)
+        sample1, sample2 = sampler.next_1d(bounces), sampler.next_2d(bounces)
         value, pdf, sample, new_weight = bsdf.eval_pdf_sample(
-            context, si, wo, sampler.next_1d(bounces), sampler.next_2d(bounces), bounces
+            context, si, wo, sample1, sample2, bounces
         )
         value = si.to_world_mueller(value, -wo, si.wi)
         new_weight = si.to_world_mueller(new_weight, -sample.wo, si.wi)
@@ -228,7 +258,27 @@ def _trace(
             new_pdf = dr.select(scatters, density, new_pdf)
             new_ray = dr.select(scatters, mei.spawn_ray(d), new_ray)
         mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
-        result = result + dr.select(asks, throughput * value * arrives * mis, 0.0)
+        direct = dr.select(asks, throughput * value * arrives * mis, 0.0)
+        result = result + direct if adjoint is None else result - direct
+        if adjoint is not None:
+            way = shadow.ray, into, again, asks, shadow.reach
+            change = adjoint.way(rays, media, way, direct, st["derivative"])
+            with dr.resume_grad():
+                lit = adjoint.light(rays, si, scatters, ref, ds, end, em_weight, asks)
+                seen = bsdf.eval(context, si, wo, asks & ~scatters)
+                leaves = bsdf.eval(context, si, sample.wo, bounces)
+                if delta:
+                    ideal = bounces & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+                    turned, factor = bsdf.sample(context, si, sample1, sample2, ideal)
+                    leaves = dr.select(ideal, factor * turned.pdf, leaves)
+                if media:
+                    towards = phase.eval_pdf(phase_context, mei, ds.d, scatters & asks)[0]
+                    onward = phase.eval_pdf(phase_context, mei, d, scatters)[0]
+                    seen = dr.select(scatters, towards, seen)
+                    leaves = dr.select(scatters, onward, leaves)
+                terms.append(direct * relative(lit) * relative(seen))
+                terms.append(dr.select(bounces | scatters, result, 0.0) * relative(leaves))
+                derivative = adjoint.add(st["derivative"], sum(terms)) + change
 
         # ---- the next ray
         turns = bounces | scatters
@@ -250,6 +300,7 @@ def _trace(
         active = (turns | passes | (active & collides)) & (depth < max_depth)
         plays = active & (depth > rr_depth)
         throughput, survives = russian_roulette(sampler, throughput, eta, plays, plays)
+        more = {} if adjoint is None else {"derivative": dr.detach(derivative)}
         return (
             {
                 "ray": ray,
@@ -266,9 +317,10 @@ def _trace(
                 "last_pdf": last_pdf,
                 "direct": direct,
                 "sampler": sampler,
-            },
+            }
+            | more,
         )
 
     label = "beziervolpath"
     (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label=label)
-    return state["result"], state["valid"]
+    return state["result" if adjoint is None else "derivative"], state["valid"]

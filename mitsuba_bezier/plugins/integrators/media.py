@@ -18,7 +18,15 @@ from ..interaction import Preliminary
 from ..offsets import spawn_ray
 from ..scene import SceneRays
 
-__all__ = ["Media", "flight_channel", "flight_weight", "hit_distance", "transmittance"]
+__all__ = [
+    "Media",
+    "flight_channel",
+    "flight_weight",
+    "hit_distance",
+    "transmittance",
+    "transmittance_by_colour",
+    "with_coefficients",
+]
 
 
 class Media:
@@ -56,7 +64,7 @@ def hit_distance(hit: Preliminary) -> Any:
     return dr.select(hit.pi.is_valid(), hit.pi.t, dr.inf)
 
 
-def _transmittance(medium: Any, mei: Any, limit: Any, active: Any) -> tuple[Any, Any]:
+def transmittance_by_colour(medium: Any, mei: Any, limit: Any, active: Any) -> tuple[Any, Any]:
     """Return transmittance and density of a flight, by colour."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.t = limit
@@ -79,7 +87,7 @@ def flight_weight(medium: Any, mei: Any, limit: Any, active: Any) -> Any:
     -------
     mi.UnpolarizedSpectrum
     """
-    tr, pdf = _transmittance(medium, mei, limit, active)
+    tr, pdf = transmittance_by_colour(medium, mei, limit, active)
     density = dr.mean(pdf) if mi.is_rgb else pdf[0]
     return dr.select(density > 0, tr * dr.rcp(density), 0.0)
 
@@ -92,6 +100,7 @@ def transmittance(
     sampler: Any,
     active: Any,
     reach: Any = None,
+    adjoint: Any = None,
 ) -> Any:
     """Return what of the light gets along rays, through media and index-matched surfaces.
 
@@ -110,6 +119,9 @@ def transmittance(
     active : mi.Bool
     reach : mi.Float, optional
         Up to where media and patches count, as `offsets.Connection` has it: ``maxt`` or beyond.
+    adjoint : callable, optional
+        Takes derivatives of a part of the way: called with its weights by colour, and the sum of
+        what earlier calls returned. That sum is then returned in place of the rest.
 
     Returns
     -------
@@ -128,10 +140,13 @@ def transmittance(
         "active": mi.Bool(active),
         "sampler": sampler,
     }
+    if adjoint is not None:
+        state["sum"] = mi.Spectrum(0.0)
 
     def body(st: dict[str, Any]) -> tuple[dict[str, Any]]:
         ray, left, medium, sampler = mi.Ray3f(st["ray"]), st["left"], st["medium"], st["sampler"]
         active, through, short = st["active"], st["through"], st["short"]
+        parts: list[Any] = []
         ray.maxt = left
         search = active & st["search"]
         hit = dr.select(search, rays.preliminary(ray, False, search), st["hit"])
@@ -152,7 +167,7 @@ def transmittance(
             mei = medium.sample_interaction(ray, sample, channel, inside)
             collides = inside & ~known & (mei.t < limit)
             mei.t = dr.select(collides, mei.t, dr.inf)
-            weight, _pdf = _transmittance(medium, mei, limit, inside)
+            weight, _pdf = transmittance_by_colour(medium, mei, limit, inside)
             if media.heterogeneous:
                 weight = dr.select(known, weight, flight_weight(medium, mei, limit, inside))
                 weight = dr.select(collides, weight * mei.sigma_n, weight)
@@ -160,10 +175,20 @@ def transmittance(
                 left = dr.select(collides, left - mei.t, left)
                 hit.pi.t = dr.select(collides, hit.pi.t - mei.t, hit.pi.t)
             through = through * mi.Spectrum(dr.select(inside, weight, 1.0))
+            if adjoint is not None:
+                with dr.resume_grad():
+                    moved = with_coefficients(medium, mei, inside)
+                    value, _pdf = transmittance_by_colour(medium, moved, limit, inside)
+                    value = dr.select(collides, value * moved.sigma_n, value)
+                    parts.append(dr.select(inside, value, 1.0))
 
         surface = active & ~collides & (distance < left)
         si, p_err = rays.meet(hit, ray, mi.RayFlags.All, surface)
-        passed = si.bsdf(ray).eval_null_transmission(si, surface)
+        with dr.resume_grad(when=adjoint is not None):
+            passed = si.bsdf(ray).eval_null_transmission(si, surface)
+            if adjoint is not None:
+                parts.append(dr.select(surface, mi.unpolarized_spectrum(passed), 1.0))
+        passed = dr.detach(passed)
         passed = si.to_world_mueller(passed, si.wi, si.wi)
         through = dr.select(surface, through * passed, through)
         onward = spawn_ray(si, p_err, ray.d)
@@ -175,6 +200,7 @@ def transmittance(
         crosses = surface & si.is_medium_transition()
         medium = dr.select(crosses, si.target_medium(ray.d), medium)
         lit = dr.max(mi.unpolarized_spectrum(through)) != 0.0
+        more = {} if adjoint is None else {"sum": adjoint(parts, st["sum"])}
         return (
             {
                 "ray": ray,
@@ -186,9 +212,18 @@ def transmittance(
                 "through": through,
                 "active": (collides | surface) & (left > 0.0) & lit,
                 "sampler": sampler,
-            },
+            }
+            | more,
         )
 
     label = "beziervolpath: transmittance"
     (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label=label)
-    return state["through"]
+    return state["through"] if adjoint is None else state["sum"]
+
+
+def with_coefficients(medium: Any, mei: Any, active: Any) -> Any:
+    """Return a collision at the same point with coefficients that have derivatives."""
+    mei = mi.MediumInteraction3f(dr.detach(mei))
+    mei.sigma_s, mei.sigma_n, mei.sigma_t = medium.get_scattering_coefficients(mei, active)
+    mei.combined_extinction = medium.get_majorant(mei, active)
+    return mei
