@@ -228,6 +228,12 @@ def test_tests_take_the_backend_from_one_place():
             assert "drjit.llvm" not in path.read_text(encoding="utf-8"), path
 
 
+def test_files_of_tests_have_names_of_their_own():
+    # pytest imports them by their names alone, and stops at the second one of a name
+    names = [path.name for path in Path(__file__).parents[1].rglob("test_*.py")]
+    assert sorted(set(names)) == sorted(names)
+
+
 def test_no_modules_import_each_other():
     names = {module.removesuffix(".py").replace("/", ".") for module in MODULES}
     graph = {}
