@@ -65,6 +65,11 @@ def query_of(name: str, scene: Any, ray: Any, coherent: bool) -> Callable[[], An
     return lambda: data.preliminary(ray, coherent=coherent).pi.t
 
 
+def times_of(scene: Any, ray: Any, coherent: bool) -> np.ndarray:
+    """Return the ray parameters of hits."""
+    return np.array(mb.ray_intersect(scene, ray, coherent=coherent).t)
+
+
 def elsewhere(million: float, runs: int) -> list[dict[str, Any]]:
     """Trace rays that do not meet the patch of degree 16, with and without it in the scene."""
     teapot = {"type": "scene", "teapot": bezier_shape(patches_of("teapot"))}
@@ -76,13 +81,14 @@ def elsewhere(million: float, runs: int) -> list[dict[str, Any]]:
     side = int(np.sqrt(million * 1e6))
     rows = []
     for kind, pair in (("coherent", camera_rays(side)), ("random", random_rays(side * side))):
-        ray = to_rays(*pair)
         coherent = kind == "coherent"
-        hits = {name: mb.ray_intersect(s, ray, coherent=coherent) for name, s in scenes.items()}
-        same = np.array(hits["alone"].t) == np.array(hits["beside"].t)
-        share = float(np.isfinite(np.array(hits["alone"].t)).mean())
-        assert same.all(), "a ray meets the patch of degree 16"
-        del hits
+        found = {n: times_of(s, to_rays(*pair), coherent) for n, s in scenes.items()}
+        same = found["alone"] == found["beside"]
+        # a few random rays do meet the patch
+        assert same.mean() > 0.99
+        pair = tuple(np.ascontiguousarray(x[same]) for x in pair)
+        ray, count = to_rays(*pair), int(same.sum())
+        share = float(np.isfinite(found["alone"][same]).mean())
         for name in ("closest", "interaction", "any"):
             tasks = {k: query_of(name, s, ray, coherent) for k, s in scenes.items()}
             times = time_in_turns(tasks, runs)
@@ -91,8 +97,8 @@ def elsewhere(million: float, runs: int) -> list[dict[str, Any]]:
                     "rays": kind,
                     "query": name,
                     "hits": share,
-                    "alone": side * side / times["alone"].best / 1e6,
-                    "beside": side * side / times["beside"].best / 1e6,
+                    "alone": count / times["alone"].best / 1e6,
+                    "beside": count / times["beside"].best / 1e6,
                     "ratio": times["alone"].cpu / times["beside"].cpu,
                 }
             )
