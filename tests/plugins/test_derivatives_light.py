@@ -12,6 +12,7 @@ from backend_cases import VARIANT
 from derivative_cases import inner, weights
 from mitsuba_cases import bezier, tensor
 
+import mitsuba_bezier as mb
 from mitsuba_bezier.geometry import bernstein
 
 SIDE = 8
@@ -130,3 +131,19 @@ def test_box_filters_have_none():
     integrator = mi.load_dict({"type": "bezierptracer"})
     with pytest.raises(Exception, match="rfilter: expected a filter without a step"):
         integrator.render_backward(scene, params, mi.TensorXf(weights(SIDE)), spp=1)
+
+
+def test_lights_that_move_are_refused():
+    lamp = {"type": "rectangle", "emitter": {"type": "area"}}
+    camera = {"type": "perspective", "film": {"type": "hdrfilm", "width": 2, "height": 2}}
+    scene = mi.load_dict({"type": "scene", "camera": camera, "lamp": lamp})
+    params = mi.traverse(scene)
+    theta = mi.Float(0)
+    dr.enable_grad(theta)
+    params["lamp.to_world"] = params["lamp.to_world"] @ mi.Transform4f().rotate([1, 0, 0], theta)
+    params.update()
+    integrator = mi.load_dict({"type": "bezierptracer"})
+    with pytest.raises(
+        mb.BezierError, match=r"bezierptracer: expected .*bezierpath.*lamp.to_world"
+    ):
+        integrator.render_backward(scene, params, dr.zeros(mi.TensorXf, (2, 2, 3)), spp=1)

@@ -122,6 +122,18 @@ def _colour(value: Any, wavelengths: Any) -> Any:
     return mi.Color3f(value.x) if mi.is_monochromatic else mi.Color3f(value)
 
 
+def _moving_ends(scene: Any) -> list[str]:
+    """Return parameters with derivatives that move lights or sensors."""
+    params = mi.traverse(scene)
+    found = []
+    for key in what_moves(scene):
+        node = params.properties[key][2]
+        lamp = isinstance(node, mi.Shape) and node.is_emitter()
+        if lamp or isinstance(node, mi.Emitter | mi.Sensor):
+            found.append(key)
+    return found
+
+
 class LightReplay:
     """The paths of light of one render, as often as its derivative takes them.
 
@@ -140,6 +152,11 @@ class LightReplay:
         Channels of a pixel.
     scale : float
         What splats are multiplied by.
+
+    Raises
+    ------
+    BezierError
+        If a light or the sensor moves.
     """
 
     def __init__(
@@ -154,6 +171,14 @@ class LightReplay:
     ) -> None:
         self.integrator, self.rays, self.sensor, self.mode = integrator, rays, sensor, mode
         self.image, self.channels, self.scale = image, channels, scale
+        ends = _moving_ends(rays.scene)
+        if ends:
+            raise BezierError.expected(
+                "bezierptracer",
+                "no derivatives by the place of lights and sensors (bezierpath has those by the "
+                "place of area lights)",
+                ", ".join(ends),
+            )
         self.footprint = Footprint(sensor.film())
         self.emitters = EmitterSampling(rays)
         self.delta = has_delta(rays.scene)
