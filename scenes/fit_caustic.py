@@ -2,7 +2,7 @@
 
     python scenes/fit_caustic.py [--out renders] [--photons 4000]
 
-Light falls straight down on the flat top of a pane, leaves its bottom, a bicubic spline of 17 x 17
+Light falls straight down on the flat top of a pane, leaves its bottom, a bicubic spline of 19 x 19
 heights, and falls on a floor. The heights are searched by `mitsuba_bezier.fit` such that what
 arrives is the picture: rays on a grid are refracted at the spline by Snell's law, and spread over
 the floor's pixels. Coarse to fine: 32, 64, then 128 pixels. What is found becomes Bézier
@@ -29,7 +29,7 @@ from mitsuba_bezier import fit
 from mitsuba_bezier._files import write_file
 from mitsuba_bezier.geometry.splines import basis_functions
 
-COUNT = 17  # heights along a side
+COUNT = 19  # heights along a side
 FLOOR = 2.5  # below the bottom of the glass
 INDEX = 1.5
 THICK = 0.25
@@ -37,13 +37,14 @@ THICK = 0.25
 
 def picture(side: int) -> np.ndarray:
     """Return the target: a heart with soft edges on a grey ground; its mean is one."""
-    x, y = np.meshgrid(*2 * [(np.arange(side) + 0.5) / side * 2 - 1])
-    a, b = 1.55 * x, -1.55 * y + 0.15
-    inside = (a * a + b * b - 1) ** 3 - a * a * b**3
-    # the distance from the edge, about: value over slope
-    slope = np.hypot(*np.gradient(inside, 2 / side))
-    soft = 1 / (1 + np.exp(np.clip(inside / (slope + 0.05) / 0.035, -40, 40)))
-    image = 0.45 + soft
+    from scipy.ndimage import gaussian_filter
+
+    fine = 4
+    x, y = np.meshgrid(*2 * [(np.arange(fine * side) + 0.5) / (fine * side) * 2 - 1])
+    a, b = 1.6 * x, -1.6 * y + 0.15
+    inside = (a * a + b * b - 1) ** 3 < a * a * b**3
+    soft = gaussian_filter(inside.astype(float), 0.04 * fine * side / 2, mode="nearest")
+    image = 0.35 + soft.reshape(side, fine, side, fine).mean(axis=(1, 3))
     return image / image.mean()
 
 
@@ -218,25 +219,33 @@ def traced(pane: mb.BezierTriangles, side: int, photons: int, passes: int) -> np
     return total / passes
 
 
-def shown(image: np.ndarray) -> np.ndarray:
-    """Return a picture in 8 bits, its mean at two fifths."""
-    linear = np.clip(image / image.mean() * 0.4, 0, 1)
-    return np.uint8(np.rint(255 * linear ** (1 / 2.2)))
+def figure(columns: dict[str, np.ndarray], width: int = 1600) -> bytes:
+    """Return pictures beside each other with their titles, as a JPEG file."""
+    import io
 
+    import matplotlib
 
-def jpeg(pixels: np.ndarray) -> bytes:
-    """Return 8-bit pixels as a JPEG file."""
-    stream = mi.MemoryStream()
-    mi.Bitmap(pixels).write(stream, mi.Bitmap.FileFormat.JPEG, quality=90)
-    stream.seek(0)
-    return bytes(stream.raw_buffer())
+    matplotlib.use("agg")
+    from matplotlib import pyplot as plt
+
+    drawn, axes = plt.subplots(
+        1, len(columns), figsize=(16, 4.4), dpi=width / 16, layout="constrained"
+    )
+    for place, (title, image) in zip(axes, columns.items()):
+        place.imshow(image, cmap="gray", vmin=0, vmax=max(2.2, float(image.max())))
+        place.set_title(title, fontsize=15)
+        place.axis("off")
+    out = io.BytesIO()
+    drawn.savefig(out, format="jpg", pil_kwargs={"quality": 88})
+    plt.close(drawn)
+    return out.getvalue()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=150, help="of each of the three searches")
+    parser.add_argument("--steps", type=int, default=250, help="of each of the three searches")
     parser.add_argument("--side", type=int, default=256, help="pixels of the proof")
-    parser.add_argument("--photons", type=int, default=400, help="of the light tracer, a pixel")
+    parser.add_argument("--photons", type=int, default=3000, help="of the light tracer, a pixel")
     parser.add_argument("--passes", type=int, default=8)
     parser.add_argument("--variant", default="llvm_ad_rgb")
     parser.add_argument("--out", type=Path, default=Path("renders"))
@@ -251,16 +260,17 @@ def main() -> None:
     print(f"heights from {heights.min():.4f} to {heights.max():.4f}")
     print(f"{side} x {side}: what the search sees {correlation(seen, wanted):.4f}")
     print(f"{side} x {side}: what the light tracer sees {correlation(proof, wanted):.4f}")
-    relief = heights - heights.min()
-    relief = np.kron(relief / max(float(relief.max()), 1e-12), np.ones((side // COUNT + 1,) * 2))
-    row = [shown(x) for x in (wanted, seen, proof)]
-    row.append(np.uint8(255 * relief[:side, :side]))
-    image = np.concatenate(row, axis=1)
-    write_file(
-        options.out / "fit_caustic.jpg",
-        jpeg(image),
-        make_folders=True,
-    )
+    values, _slopes = spline_matrices((np.arange(side) + 0.5) / side * 2 - 1)
+    relief = -(values @ heights @ values.T)  # how much thicker the pane is
+    columns = {
+        "the picture wanted": wanted,
+        "what the search sees": seen,
+        f"light tracer, correlation {correlation(proof, wanted):.3f}": proof / proof.mean(),
+        f"the glass: thickness, {1e3 * np.ptp(relief) / 2:.0f} mm in 1 m": 2.2
+        * (relief - relief.min())
+        / max(float(np.ptp(relief)), 1e-12),
+    }
+    write_file(options.out / "fit_caustic.jpg", figure(columns), make_folders=True)
 
 
 if __name__ == "__main__":
