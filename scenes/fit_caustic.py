@@ -264,7 +264,7 @@ def main() -> None:
     relief = -(values @ heights @ values.T)  # how much thicker the pane is
     columns = {
         "the picture wanted": wanted,
-        "what the search sees": seen,
+        "what the search sees": seen / seen.mean(),
         f"light tracer, correlation {correlation(proof, wanted):.3f}": proof / proof.mean(),
         f"the glass: thickness, {1e3 * np.ptp(relief) / 2:.0f} mm in 1 m": 2.2
         * (relief - relief.min())
