@@ -226,12 +226,27 @@ def pictures(shapes: dict[str, Any], side: int) -> np.ndarray:
     return np.array(image.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, srgb_gamma=True))
 
 
-def jpeg(pixels: np.ndarray) -> bytes:
-    """Return 8-bit pixels as a JPEG file."""
-    stream = mi.MemoryStream()
-    mi.Bitmap(pixels).write(stream, mi.Bitmap.FileFormat.JPEG, quality=90)
-    stream.seek(0)
-    return bytes(stream.raw_buffer())
+def labelled(pixels: np.ndarray, names: list[str]) -> bytes:
+    """Return rows of pictures with a name on each, as a JPEG file."""
+    import io
+
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot as plt
+
+    height, width = pixels.shape[:2]
+    drawn = plt.figure(figsize=(width / 100, height / 100), dpi=100)
+    axes = drawn.add_axes((0, 0, 1, 1))
+    axes.imshow(pixels)
+    axes.axis("off")
+    for row, name in enumerate(names):
+        place = (0.01 * width, (row + 0.03) * height / len(names))
+        axes.text(*place, name, color="white", fontsize=width / 80, va="top")
+    out = io.BytesIO()
+    drawn.savefig(out, format="jpg", pil_kwargs={"quality": 85})
+    plt.close(drawn)
+    return out.getvalue()
 
 
 def main() -> None:
@@ -302,7 +317,7 @@ def main() -> None:
     shown = pictures(shapes, options.shown)
     write_file(
         options.out / "fit_vase.jpg",
-        jpeg(shown),
+        labelled(shown, ["the vase", "found: patches", "found: a mesh of as many unknowns"]),
     )
 
 
