@@ -246,7 +246,7 @@ def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
     """
     corners = np.asarray(corners, dtype=np.float64)
     if n > _DENSE:
-        return subdivide(np.eye(size(n)), corners[None])[0]
+        return _expanded(n, corners)
     steps = [[_de_casteljau_matrix(m, c) for c in corners] for m in range(1, n + 1)]
 
     @cache
@@ -259,6 +259,41 @@ def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
         return steps[n - m][which] @ rest
 
     return np.concatenate([blossom(int(i), int(j), int(k)) for i, j, k in multi_indices(n)])
+
+
+def _expanded(n: int, corners: np.ndarray) -> np.ndarray:
+    """Return the same matrix by expanding products ``A^i B^j C^k`` of linear forms.
+
+    The entries are their coefficients, those of ``u^p v^q`` in arrays ``(p, q)``.
+    """
+    powers = []
+    for a, b, c in corners.tolist():
+        power = [np.ones((1, 1))]
+        for m in range(1, n + 1):
+            following = np.zeros((m + 1, m + 1))
+            following[1:, :-1] += a * power[-1]
+            following[:-1, 1:] += b * power[-1]
+            following[:-1, :-1] += c * power[-1]
+            power.append(following)
+        powers.append(power)
+    places = multi_indices(n)[:, 0], multi_indices(n)[:, 1]
+    out = np.empty((size(n), size(n)))
+    first: dict[tuple[int, int], np.ndarray] = {}
+    for r, (i, j, k) in enumerate(multi_indices(n).tolist()):
+        if (i, j) not in first:
+            first[i, j] = _product(powers[0][i], powers[1][j])
+        out[r] = _product(first[i, j], powers[2][k])[places]
+    return out
+
+
+def _product(f: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Return the coefficients of a product of polynomials in two variables."""
+    out = np.zeros((len(f) + len(g) - 1,) * 2)
+    if np.count_nonzero(g) > np.count_nonzero(f):
+        f, g = g, f
+    for p, q in np.argwhere(g).tolist():
+        out[p : p + len(f), q : q + len(f)] += g[p, q] * f
+    return out
 
 
 def subdivide(net: np.ndarray, corners: np.ndarray) -> np.ndarray:

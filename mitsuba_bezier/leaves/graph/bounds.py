@@ -234,8 +234,10 @@ def _bound(
     (xu, yu, zu), (xv, yv, zv) = pu, pv
 
     # the weight, and the map F
-    parts = [(m @ net).reshape(-1, 4, count) for m in op.differences]
-    dw = [form_norm(d[:, 3:], k) for k, d in enumerate(parts, 1)]
+    weights = net.reshape(-1, 4, count)[:, 3]  # of the first two orders, these alone are needed
+    parts = [(m @ weights)[:, None] for m in op.differences[:2]]
+    parts += [(m @ net).reshape(-1, 4, count) for m in op.differences[2:]]
+    dw = [form_norm(d[:, -1:], k) for k, d in enumerate(parts, 1)]
     least = w.min(axis=0) - c * dw[1]
     positive = least > 0
     least = np.where(positive, least, np.nan)

@@ -15,6 +15,7 @@ from ..records import BENDING_LIMIT, GraphLeaves, LeafSettings, round_reach, wei
 from .bounds import leaf_bounds
 from .collapsed_edges import collapsed_edge, fan, strips
 from .cover import edge_reach
+from .majorants import norm2
 
 __all__ = ["subdivide"]
 
@@ -41,9 +42,11 @@ def subdivide(
     """
     n = bernstein.degree_of(nets.shape[1])
     domain = np.broadcast_to(np.eye(3), (len(nets), 3, 3)).copy()
+    halvings = np.zeros(len(nets), dtype=int)  # of the area, in the parameters
     places = patch, _middles(nets)
-    for depth in range(settings.max_depth + 1):
-        leaves, good = _graph_leaves(nets, domain, patch, settings)
+    folded = _singular(nets)
+    while True:
+        leaves, good, way = _graph_leaves(nets, domain, patch, settings)
         yield leaves.select(good)
         singular = _singular_corner(nets)
         pending = _pending(patch, good)
@@ -52,9 +55,8 @@ def subdivide(
         last[pending > _MANY_PENDING_LEAVES] |= _flat(
             nets[pending > _MANY_PENDING_LEAVES], middle[pending > _MANY_PENDING_LEAVES]
         )
+        last |= halvings >= 2 * settings.max_depth
         last &= ~good
-        if depth == settings.max_depth:
-            last = ~good
         if last.any():
             for tip in range(-1, 3):
                 part = last & (singular == tip)
@@ -64,35 +66,66 @@ def subdivide(
         if not rest.any():
             return
         nets, domain, patch = nets[rest], domain[rest], patch[rest]
+        halvings, way = halvings[rest], way[rest]
+        of = np.searchsorted(places[0], patch)
+        small = np.flatnonzero((halvings >= _SMALL) & ~folded[of])
+        folded[of[small[_folded(nets[small])]]] = True
+        way[folded[of]] = _IN_FOUR
         corner = collapsed_edge(nets)
-        plain = corner < 0
-        # one product of matrices a net: many times as fast as an einsum for high degrees
-        split = bernstein.split_matrices(n).reshape(-1, nets.shape[1]) @ nets[plain]
-        # rows of SPLIT_CORNERS are barycentrics of new corners: columns of the domain map
-        inner = np.einsum("pij,ekj->peik", domain[plain], bernstein.SPLIT_CORNERS)
-        parts = [(split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3))]
-        numbers = [np.repeat(patch[plain], 4)]
-        for i in np.flatnonzero(~plain):
+        parts, numbers, halved = [], [], []
+        for number, (matrices, corners) in enumerate(_ways(n)):
+            those = np.flatnonzero((corner < 0) & (way == number))
+            if not len(those):
+                continue
+            # one product of matrices a net: many times as fast as an einsum for high degrees
+            split = matrices @ nets[those]
+            # rows of `corners` are barycentrics of new corners: columns of the domain map
+            inner = np.einsum("pij,ekj->peik", domain[those], corners)
+            parts.append((split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3)))
+            numbers.append(np.repeat(patch[those], len(corners)))
+            halved.append(np.repeat(halvings[those] + len(corners) // 2, len(corners)))
+        for i in np.flatnonzero(corner >= 0):
             triangles, end = strips(nets[i], int(corner[i]))
             inner = domain[i] @ triangles.transpose(0, 2, 1)
             parts.append((bernstein.subdivide(nets[i], triangles), inner))
             numbers.append(np.full(len(triangles), patch[i]))
+            halved.append(np.full(len(triangles), halvings[i] + 2))
             if end > 0:
                 caps, inner = fan(nets[i], int(corner[i]), end)
                 if len(caps):
-                    number = np.full(len(caps), patch[i])
-                    closing = _graph_leaves(caps, domain[i] @ inner, number, settings)[0]
+                    owner = np.full(len(caps), patch[i])
+                    closing = _graph_leaves(caps, domain[i] @ inner, owner, settings)[0]
                     closing.certified[:] = False  # planar: not quite the surface
                     yield closing
         nets = np.concatenate([p[0] for p in parts])
         domain = np.concatenate([p[1] for p in parts])
-        patch = np.concatenate(numbers)
+        patch, halvings = np.concatenate(numbers), np.concatenate(halved)
         if wanted is not None:
             barycentrics = domain / domain.sum(axis=1, keepdims=True)
             needed = wanted(patch, barycentrics[:, :2].transpose(0, 2, 1))
             nets, domain, patch = nets[needed], domain[needed], patch[needed]
+            halvings = halvings[needed]
             if not len(nets):
                 return
+
+
+#: How a leaf is cut: by the middle of one of its edges, opposite of the corner of that number, or
+#: by the middles of all three.
+_IN_FOUR = 3
+
+
+@cache
+def _ways(n: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return for each way to cut: the matrices of all parts above each other, and their corners."""
+    halves = []
+    for e in range(3):
+        parts = np.eye(3)[None].repeat(2, axis=0)
+        a, b = (e + 1) % 3, (e + 2) % 3
+        parts[0, b] = parts[1, a] = (np.eye(3)[a] + np.eye(3)[b]) / 2
+        halves.append(parts)
+    matrices = [np.concatenate([bernstein.subdivision_matrix(n, c) for c in h]) for h in halves]
+    four = bernstein.split_matrices(n).reshape(-1, bernstein.size(n))
+    return [*zip(matrices, halves), (four, bernstein.SPLIT_CORNERS)]
 
 
 #: Most leaves of one patch that may be pending, to be cut further. A patch whose parametrisation is
@@ -168,6 +201,60 @@ def _flat(nets: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return finite & (spread < _FLAT * size)
 
 
+def _folded(nets: np.ndarray) -> np.ndarray:
+    """Return a mask of nets whose normals, at seven points, turn over or nearly vanish at some."""
+    value, du, dv = (m @ nets for m in _seven(bernstein.degree_of(nets.shape[1])))
+    with np.errstate(all="ignore"):
+        p = _affine(value)
+        # times the weight, which is of one sign, or the answer no matter
+        normal = np.cross(du[..., :3] - p * du[..., 3:], dv[..., :3] - p * dv[..., 3:])
+        length = np.linalg.norm(normal, axis=2)
+        most = normal[np.arange(len(nets)), length.argmax(axis=1)]
+        inner = np.einsum("lpc,lc->lp", normal, most)
+        return np.asarray(~(inner.min(axis=1) >= _FOLDED * inner.max(axis=1)))
+
+
+#: A patch is looked at on a lattice of so many steps for points where it is singular, and counts as
+#: singular where normals are this much shorter than the longest.
+_STEPS, _VANISHING = 12, 1e-3
+
+
+@cache
+def _lattice(n: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Return matrices to values and partials on the lattice, and the pairs of neighbours."""
+    at = bernstein.multi_indices(_STEPS)
+    du, dv = bernstein.partials_matrices(n)
+    lower = bernstein.basis(n - 1, at[:, :2] / _STEPS)
+    pairs = [
+        (r, bernstein.row(_STEPS, i - a, j - b))
+        for r, (i, j, k) in enumerate(at.tolist())
+        for a, b in ((1, 0), (0, 1), (1, -1))
+        if i >= a and j >= b and k + a + b >= 0 and i - a + j - b <= _STEPS
+    ]
+    return (bernstein.basis(n, at[:, :2] / _STEPS), lower @ du, lower @ dv), np.array(pairs)
+
+
+def _singular(nets: np.ndarray) -> np.ndarray:
+    """Return a mask of patches on which normals vanish, or turn over between two points."""
+    matrices, pairs = _lattice(bernstein.degree_of(nets.shape[1]))
+    with np.errstate(all="ignore"):
+        value, du, dv = (m @ nets for m in matrices)
+        p, w = _affine(value), value[..., 3:]
+        normal = np.cross((du[..., :3] - p * du[..., 3:]) / w, (dv[..., :3] - p * dv[..., 3:]) / w)
+        length = np.linalg.norm(normal, axis=2)
+        regular = length.min(axis=1) >= _VANISHING * length.max(axis=1)
+        a, b = normal[:, pairs[:, 0]], normal[:, pairs[:, 1]]
+        regular &= ((a * b).sum(axis=2) > 0).all(axis=1)
+    return ~regular
+
+
+#: Normals of a leaf this much shorter than the longest, or turned over, tell that its patch is
+#: singular there: leaves along such curves would get thinner and thinner if cut in two.
+_FOLDED = 0.02
+#: Leaves are asked for that after so many halvings: larger ones may be curved so much.
+_SMALL = 4
+
+
 def _pending(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
     """Return for each leaf how many of its patch are not good."""
     return np.bincount(patch[~good], minlength=int(patch.max(initial=0)) + 1)[patch]
@@ -202,7 +289,7 @@ def _fallback_triangles(
     for m in range(1, n):
         points = bernstein.elevation_matrix(m) @ points
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
-    leaves, good = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
+    leaves, good, _way = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
     leaves.certified[:] = False
     # what is not good has no area, and no ray meets it
     return leaves.select(good & (close | finite[:, 0, 0]))
@@ -295,20 +382,21 @@ _CHUNK = 4096
 
 def _graph_leaves(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
-) -> tuple[GraphLeaves, np.ndarray]:
-    """Fit a chart to each net; return the leaves and a mask of good ones."""
+) -> tuple[GraphLeaves, np.ndarray, np.ndarray]:
+    """Fit a chart to each net; return the leaves, a mask of good ones, and `_ways`."""
     parts = [
         _fit_charts(nets[c], domain[c], patch[c], settings)
         for c in (slice(i, i + _CHUNK) for i in range(0, max(len(nets), 1), _CHUNK))
     ]
     if len(parts) == 1:
         return parts[0]
-    return GraphLeaves.join([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+    leaves, good, way = zip(*parts)
+    return GraphLeaves.join(list(leaves)), np.concatenate(good), np.concatenate(way)
 
 
 def _fit_charts(
     nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
-) -> tuple[GraphLeaves, np.ndarray]:
+) -> tuple[GraphLeaves, np.ndarray, np.ndarray]:
     n = bernstein.degree_of(nets.shape[1])
     nets, moebius, finite = _normalise_weights(nets, n)
     shift, frame = _charts(nets, finite, n)
@@ -318,7 +406,9 @@ def _fit_charts(
     w = chart[..., 3]
     spread = np.abs(w - 1).max(axis=1)
     rows = np.flatnonzero((w > 0).all(axis=1) & (spread <= settings.weight))
-    rows = rows[~_hopeless(chart[rows], settings)]
+    way = np.full(len(nets), _IN_FOUR)
+    hopeless, way[rows] = _seen(chart[rows], settings)
+    rows = rows[~hopeless]
     reach, inward = edge_reach(chart[rows])
     rounding = np.where(finite[rows], _rounding(nets[rows], shift[rows], frame[rows]), 0.0)
     reach = round_reach(reach + (_PAD + rounding)[:, None])
@@ -370,7 +460,7 @@ def _fit_charts(
         certified=good.copy(),
         **proved,
     )
-    return leaves, good
+    return leaves, good, way
 
 
 def _rounding(nets: np.ndarray, shift: np.ndarray, frame: np.ndarray) -> np.ndarray:
@@ -389,12 +479,32 @@ def _seven(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return bernstein.basis(n, uv), lower @ du, lower @ dv
 
 
-def _hopeless(chart: np.ndarray, settings: LeafSettings) -> np.ndarray:
-    """Return a mask, from seven points, of leaves too crooked: most are, and bounds are dear."""
+#: A leaf is cut in two if one of its edges is bent this much more than another. With 2 tori have
+#: 2 % more leaves, and those that are bent alike in all directions are better cut in four.
+_ONE_WAY = 3.0
+
+
+def _seen(chart: np.ndarray, settings: LeafSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Look at seven points of leaves.
+
+    Returns
+    -------
+    hopeless : (L,) bool array
+        Leaves too crooked: most are, and bounds are dear.
+    way : (L,) int array
+        Of `_ways`: how to cut them. Along one direction if they are bent in that one, as strips
+        between two circles are, which would else become much too many across.
+    """
     value, du, dv = (m @ chart for m in _seven(bernstein.degree_of(chart.shape[1])))
     inv = 1.0 / value[..., 3:]
     p = value[..., :3] * inv
     pu, pv = (du[..., :3] - p * du[..., 3:]) * inv, (dv[..., :3] - p * dv[..., 3:]) * inv
-    bent = np.stack([pu[..., :2], pv[..., :2]], axis=-1) - np.eye(2)
-    lateral = np.linalg.norm(bent, ord=2, axis=(-2, -1)).max(axis=1)
-    return (lateral > settings.lateral) | (np.abs(p[..., 2]).max(axis=1) > settings.height)
+    lateral = norm2(pu[..., 0] - 1, pv[..., 0], pu[..., 1], pv[..., 1] - 1).max(axis=1)
+    hopeless = (lateral > settings.lateral) | (np.abs(p[..., 2]).max(axis=1) > settings.height)
+    # how much the partial along an edge changes on it: the first three points are C, A and B
+    turns = (pu - pv)[:, 1] - (pu - pv)[:, 2], pv[:, 2] - pv[:, 0], pu[:, 1] - pu[:, 0]
+    bent = np.stack([np.linalg.norm(turn, axis=-1) for turn in turns])
+    # BC, CA and AB, by the corners opposite, in the order of `_ways`
+    bent = bent[[1, 2, 0]]
+    one_way = bent.max(axis=0) > _ONE_WAY * bent.min(axis=0)
+    return hopeless, np.where(one_way, bent.argmax(axis=0), _IN_FOUR)
