@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -104,6 +105,22 @@ def build(out: Path) -> int:
     return build_main([*words, "-d", str(out.parent / "doctrees"), str(HERE), str(out)])
 
 
+def print_report(site: Path) -> str:
+    """Print the report to ``paper.pdf`` by a Chromium, and return a line that says whether."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    browser = next(filter(None, map(shutil.which, names)), None)
+    if browser is None:
+        return f"no paper.pdf: none of {', '.join(names)} is here to print it"
+    pdf = site / "paper.pdf"
+    words = ["--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer"]
+    command = [browser, *words, f"--print-to-pdf={pdf}", (site / "paper.html").as_uri()]
+    try:
+        subprocess.run(command, capture_output=True, check=True, timeout=120)
+    except (subprocess.SubprocessError, OSError) as error:
+        return f"no paper.pdf: {error}"
+    return f"{pdf}, {pdf.stat().st_size / 1000:.0f} kB" if pdf.is_file() else "no paper.pdf"
+
+
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(description="Build the site, and look at its pages.")
@@ -115,6 +132,7 @@ def main() -> int:
         code = build(site)
         if code:
             return code
+        print(print_report(site))
     found = faults(site)
     for line in found:
         print(line, file=sys.stderr)
