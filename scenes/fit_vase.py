@@ -181,7 +181,7 @@ def search(
         steps=options.steps,
         rate=options.rate,
         smoothing=options.smoothing,
-        checkpoint=None if options.keep is None else options.keep / f"vase_{name}.npz",
+        checkpoint=None if options.keep is None else options.keep / f"vase_{name}.fit",
         callback=look,
         progress=False,
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,9 +29,10 @@ def write(
     FileFormatError
         If the file cannot be written.
     """
-    text = json.dumps({"version": _VERSION, **about}, sort_keys=True)
+    text = json.dumps({"version": _VERSION, "arrays": list(arrays), **about}, sort_keys=True)
     buffer = io.BytesIO()
-    np.savez(buffer, about=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
+    for array in (np.frombuffer(text.encode(), dtype=np.uint8), *arrays.values()):
+        np.save(buffer, array, allow_pickle=False)
     write_file(path, buffer.getvalue(), "checkpoint")
 
 
@@ -45,12 +45,12 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, np.nda
         If it is not a checkpoint, or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        about = json.loads(arrays.pop("about").tobytes())
-        if about.pop("version") != _VERSION:
-            raise ValueError("of another version")
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        with open(path, "rb") as file:
+            about = json.loads(np.load(file, allow_pickle=False).tobytes())
+            if about.pop("version") != _VERSION:
+                raise ValueError("of another version")
+            arrays = {name: np.load(file, allow_pickle=False) for name in about.pop("arrays")}
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, AttributeError) as error:
         reason = str(error).split("\n")[0]
         raise FileFormatError(
             f"checkpoint: expected a file of mitsuba_bezier.fit, got {os.fspath(path)} ({reason})"

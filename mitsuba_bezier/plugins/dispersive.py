@@ -124,11 +124,11 @@ def make_dispersive_class() -> type:
             return mi.Spectrum(0.0)
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            """Return zero, see `eval`."""
+            """Return zero: an ideal direction is never met by chance."""
             return mi.Float(0.0)
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
-            """Return zeros, see `eval`."""
+            """Return zeros: an ideal direction is never met by chance."""
             return mi.Spectrum(0.0), mi.Float(0.0)
 
         def _lanes(self, si: Any, front: Any) -> tuple[list[Any], list[Any], list[Any]]:

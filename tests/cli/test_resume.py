@@ -510,4 +510,4 @@ def test_times_of_all_kinds():
 
 def test_parts_end_at_their_samples_only(folder, capsys):
     assert render(*WORDS, "--part", "1/2", "--time", "5s") == 2
-    assert "--part: expected neither --until-noise nor --time" in capsys.readouterr().err
+    assert "--part: expected no --until-noise, --until-flip, --time" in capsys.readouterr().err

