@@ -139,10 +139,7 @@ class Schemes(Canvas):
     ) -> None:
         """Draw the control net of a patch; with `labels`, each point with its three indices."""
         n, b = patches.degree, patches.control_points[patch]
-        for i, j, _k in bernstein.multi_indices(n - 1):
-            corners = [
-                bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1), bernstein.row(n, i, j),
-            ]  # fmt: skip
+        for corners in bernstein.net_triangles(n).tolist():
             for a, c in zip(corners, corners[1:] + corners[:1]):
                 if b[a].any() and b[c].any() and not (is_ideal(b[a]) and is_ideal(b[c])):
                     self._leg(b[a], b[c])

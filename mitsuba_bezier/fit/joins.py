@@ -12,6 +12,7 @@ from ..errors import GeometryError
 from ..geometry import bernstein
 from ..geometry.triangles import BezierTriangles
 from .nets import Net
+from .parametrization import as_patches
 
 __all__ = ["Joins"]
 
@@ -47,7 +48,7 @@ class Joins:
 
     def __init__(self, patches: Any, most: float = 180.0) -> None:
         self.most = most
-        self._prepare(patches if isinstance(patches, BezierTriangles) else BezierTriangles(patches))
+        self._prepare(as_patches(patches))
         if not self.count:
             raise GeometryError.expected("patches", "patches that meet along edges", "none")
 
@@ -111,10 +112,8 @@ class Joins:
 
 def _pairs(patches: BezierTriangles) -> list[tuple[int, int, bool]]:
     """Return pairs of edges ``3 * patch + edge`` that are one curve, and which run backward."""
-    from .nets import _edges  # the rows of edges AB, BC, CA
-
     net = Net(patches)
-    vertex = net.vertex.reshape(len(patches), -1)[:, _edges(patches.degree)]
+    vertex = net.vertex.reshape(len(patches), -1)[:, bernstein.edge_rows(patches.degree)]
     known: dict[tuple[int, ...], int] = {}
     out = []
     for number, line in enumerate(vertex.reshape(-1, vertex.shape[-1])):

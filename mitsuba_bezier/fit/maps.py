@@ -13,7 +13,7 @@ from ..geometry.checks import finite_array, length, vector
 from ..geometry.collineations import matrix
 from ..geometry.covers import sphere
 from ..geometry.triangles import BezierTriangles
-from .parametrization import Parametrization, assembled, spread
+from .parametrization import Parametrization, as_patches, assembled, spread
 
 __all__ = ["Collineation", "Pose", "Sphere"]
 
@@ -47,7 +47,7 @@ class Collineation(Parametrization):
     """
 
     def __init__(self, patches: Any, start: Any = None, affine: bool = True) -> None:
-        self.patches = _patches(patches)
+        self.patches = as_patches(patches)
         self.matrix = np.eye(4) if start is None else matrix("start", start, ((4, 4),))
         self.affine = affine
         if affine and not np.array_equal(self.matrix[3], [0, 0, 0, 1]):
@@ -139,7 +139,7 @@ class Pose(Parametrization):
     def __init__(self, patches: Any = None, start: Any = None, scale: bool = False) -> None:
         if patches is not None and start is not None:
             raise BezierError.expected("start", "none where patches are given", "both")
-        self.patches = None if patches is None else _patches(patches)
+        self.patches = None if patches is None else as_patches(patches)
         self.matrix = (
             np.eye(4) if start is None else finite_array("start", start, (4, 4), GeometryError)
         )
@@ -203,10 +203,6 @@ class Pose(Parametrization):
             for row in [*rows, [mi.Float(0), mi.Float(0), mi.Float(0), mi.Float(1)]]
         ]
         return mi.Transform4f(mi.Matrix4f(*(x for row in out for x in row)))
-
-
-def _patches(patches: Any) -> BezierTriangles:
-    return patches if isinstance(patches, BezierTriangles) else BezierTriangles(patches)
 
 
 def _columns(patches: BezierTriangles) -> list[Any]:

@@ -14,7 +14,7 @@ from .._runtime import import_mitsuba
 from ..errors import BezierError, NetError
 from ..geometry import bernstein
 from ..geometry.triangles import BezierTriangles
-from .parametrization import Parametrization, assembled, column
+from .parametrization import Parametrization, as_patches, assembled, column
 
 __all__ = ["Net"]
 
@@ -64,8 +64,7 @@ class Net(Parametrization):
         weights: bool = True,
         hold: Any = "nothing",
     ) -> None:
-        if not isinstance(patches, BezierTriangles):
-            patches = BezierTriangles(patches)
+        patches = as_patches(patches)
         if not points and not weights:
             raise BezierError.expected("points, weights", "at least one True", "False, False")
         self.options: dict[str, Any] = {"points": points, "weights": weights, "hold": hold}
@@ -121,7 +120,9 @@ class Net(Parametrization):
         """Return the Laplacian of the control nets' edges, between the free rows."""
         kept = self.free if name == "points" else self.weighted
         count = len(self.first)
-        a, b = self.vertex.reshape(len(self.patches), -1)[:, _net_edges(self.patches.degree)].T
+        a, b = self.vertex.reshape(len(self.patches), -1)[
+            :, bernstein.net_edges(self.patches.degree)
+        ].T
         a, b = a.ravel(), b.ravel()
         ones = np.ones(len(a))
         graph = csr_array(coo_array((ones, (a, b)), shape=(count, count)))
@@ -173,7 +174,7 @@ class Net(Parametrization):
                 rows[:, list(bernstein.corner_rows(n))] = True
             elif hold == "boundary":
                 vertex = self.vertex.reshape(shape)
-                edges = _edges(n)
+                edges = bernstein.edge_rows(n)
                 keys = np.sort(vertex[:, edges[:, [0, -1]]], axis=-1).reshape(-1, 2)
                 middle = vertex[:, edges].min(axis=-1).ravel()
                 _u, back, count = np.unique(
@@ -212,27 +213,6 @@ def _split(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]
     return rows[:, :3] / safe[:, None], factors, ideal, size
 
 
-def _edges(n: int) -> np.ndarray:
-    """Return the rows of the three edges, each from a corner to the next, ``(3, n + 1)``."""
-    e = range(n + 1)
-    return np.array(
-        [
-            [bernstein.row(n, n - i, i) for i in e],
-            [bernstein.row(n, 0, n - i) for i in e],
-            [bernstein.row(n, i, 0) for i in e],
-        ]
-    )
-
-
-def _net_edges(n: int) -> np.ndarray:
-    """Return pairs of rows that are joined in a control net, ``(E, 2)``."""
-    out = []
-    for i, j, _k in bernstein.multi_indices(n - 1).tolist():
-        a, b, c = (bernstein.row(n, *at) for at in ((i + 1, j), (i, j + 1), (i, j)))
-        out += [(a, b), (b, c), (c, a)]
-    return np.array(out)
-
-
 def _welded(
     positions: np.ndarray,
     ideal: np.ndarray,
@@ -243,7 +223,7 @@ def _welded(
     """Return the vertex of each row: rows of edges that are one point share theirs."""
     count = len(positions)
     border = np.zeros((len(patches), count // len(patches)), dtype=bool)
-    border[:, np.unique(_edges(patches.degree))] = True
+    border[:, np.unique(bernstein.edge_rows(patches.degree))] = True
     used = np.flatnonzero(border.ravel() & (factors != 0))
     # ideal points are far from finite ones
     places = np.column_stack([positions / size, 10.0 * ideal])

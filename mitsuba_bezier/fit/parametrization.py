@@ -9,8 +9,9 @@ import numpy as np
 
 from .._runtime import import_mitsuba
 from ..errors import BezierError
+from ..geometry.triangles import BezierTriangles
 
-__all__ = ["Parametrization", "Values", "assembled", "column", "spread", "tensor"]
+__all__ = ["Parametrization", "Values", "as_patches", "assembled", "column", "spread", "tensor"]
 
 
 class Parametrization:
@@ -143,6 +144,11 @@ class Values(Parametrization):
         if self.low is not None and self.high is not None:
             return self.low + (self.high - self.low) / (1 + dr.exp(-x))
         return x + 0
+
+
+def as_patches(patches: Any) -> BezierTriangles:
+    """Return patches that may be given as control points."""
+    return patches if isinstance(patches, BezierTriangles) else BezierTriangles(patches)
 
 
 def tensor(values: Any) -> Any:

@@ -12,7 +12,7 @@ from ..geometry.checks import finite_array
 from ..geometry.quadric_patches import characterize
 from ..geometry.quadrics import normalize_quadric
 from ..geometry.triangles import BezierTriangles
-from .parametrization import Parametrization, assembled, spread
+from .parametrization import Parametrization, as_patches, assembled, spread
 
 __all__ = ["Quadric"]
 
@@ -56,8 +56,7 @@ class Quadric(Parametrization):
     """
 
     def __init__(self, patches: Any, anchor: Any = None) -> None:
-        if not isinstance(patches, BezierTriangles):
-            patches = BezierTriangles(patches)
+        patches = as_patches(patches)
         if patches.degree != 2:
             raise NetError.expected("patches", "patches of degree 2", f"degree {patches.degree}")
         self.patches = patches

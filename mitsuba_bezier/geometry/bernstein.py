@@ -21,11 +21,14 @@ __all__ = [
     "corner_rows",
     "de_casteljau",
     "degree_of",
+    "edge_rows",
     "elevated",
     "elevation_matrix",
     "monomial_matrix",
     "multi_indices",
     "multinomials",
+    "net_edges",
+    "net_triangles",
     "partials_matrices",
     "permutation",
     "row",
@@ -78,6 +81,41 @@ def row(n: int, i: int, j: int) -> int:
 def corner_rows(n: int) -> tuple[int, int, int]:
     """Return the rows of the corners ``(n,0,0)``, ``(0,n,0)``, ``(0,0,n)``."""
     return 0, size(n) - n - 1, size(n) - 1
+
+
+@cache
+def edge_rows(n: int) -> np.ndarray:
+    """Return the rows along the three edges AB, BC and CA, ``(3, n + 1)``."""
+    e = range(n + 1)
+    out = np.array(
+        [
+            [row(n, n - t, t) for t in e],
+            [row(n, 0, n - t) for t in e],
+            [row(n, t, 0) for t in e],
+        ]
+    )
+    out.setflags(write=False)
+    return out
+
+
+@cache
+def net_triangles(n: int) -> np.ndarray:
+    """Return rows ``(T, 3)`` of the triangles in a net that de Casteljau's step makes points of."""
+    out = np.array(
+        [(row(n, i + 1, j), row(n, i, j + 1), row(n, i, j)) for i, j, _k in multi_indices(n - 1)]
+    )
+    out.setflags(write=False)
+    return out
+
+
+@cache
+def net_edges(n: int) -> np.ndarray:
+    """Return the pairs of rows that legs of a control net join, each once, ``(E, 2)``."""
+    three = net_triangles(n)
+    pairs = np.concatenate([three[:, [0, 1]], three[:, [1, 2]], three[:, [2, 0]]])
+    out = np.unique(np.sort(pairs, axis=1), axis=0)
+    out.setflags(write=False)
+    return out
 
 
 @cache

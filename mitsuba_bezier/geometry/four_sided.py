@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GeometryError
+from .bernstein import edge_rows
 from .curves import BezierCurve
 from .projective import TOLERANCE, norm
 from .quadrics import quadric_matrix
@@ -30,9 +31,6 @@ __all__ = ["boundary_curve", "four_sided_net", "patchwork"]
 
 #: Relative distance up to which control points count as those of arcs on the quadric.
 NEAR = 1e-9
-
-#: Rows of the control points of the boundary, from corner to corner.
-_EDGES = ((0, 1, 3), (3, 4, 5), (5, 2, 0))
 
 
 def boundary_curve(net: Any, edge: int) -> BezierCurve:
@@ -55,7 +53,7 @@ def boundary_curve(net: Any, edge: int) -> BezierCurve:
         raise GeometryError.expected(
             "net, edge", "a quadratic net (6, 4) and 0, 1 or 2", f"shape {b.shape}, {edge}"
         )
-    return BezierCurve(b[list(_EDGES[edge])])
+    return BezierCurve(b[edge_rows(2)[edge]])
 
 
 def _arc(a: np.ndarray, name: str, arc: BezierCurve) -> np.ndarray:

@@ -26,18 +26,6 @@ _CHUNK = 100_000  # points evaluated together: keeps the memory for basis functi
 _EDGES = ((0, 1), (1, 2), (2, 0))
 
 
-def _edge_rows(r: int) -> np.ndarray:
-    """Return the rows of the points along the three edges, ``(3, r+1)``."""
-    out = np.empty((3, r + 1), int)
-    for e, (a, b) in enumerate(_EDGES):
-        for t in range(r + 1):
-            index = [0, 0, 0]
-            index[a] += r - t
-            index[b] += t
-            out[e, t] = bernstein.row(r, index[0], index[1])
-    return out
-
-
 @cache
 def _lattice_edges(r: int) -> tuple[np.ndarray, np.ndarray]:
     """Return all edges of the lattice of resolution r, by rows of the lattice of 2r.
@@ -210,7 +198,7 @@ def _pattern(r: int, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if r >= 2:  # between them, those turned by half a turn
         faces.append(_row(r, bernstein.multi_indices(r - 2)[:, None] + (1 - unit)))
     target = np.arange(bernstein.size(r))
-    for e, rows in enumerate(_edge_rows(r)):
+    for e, rows in enumerate(bernstein.edge_rows(r)):
         step = r // int(edges[e])
         target[rows] = rows[(np.arange(r + 1) + step // 2) // step * step]
     moved = target[np.concatenate(faces)]

@@ -216,9 +216,7 @@ def _triangle(
             n = bernstein.degree_of(len(level))
             last = r == len(scheme) - 2
             pieces = []
-            for i, j, _k in bernstein.multi_indices(n - 1):
-                rows = [bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1),
-                        bernstein.row(n, i, j)]  # fmt: skip
+            for rows in bernstein.net_triangles(n).tolist():
                 for a, b in zip(rows, rows[1:] + rows[:1]):
                     pieces += _straight(level[a], level[b], centre, reach)
             out.draw(f"scheme{r}", pieces, TANGENT if last else SCHEME, 2.5)

@@ -124,11 +124,7 @@ class State:
         """Return the pairs of rows that legs of the net, or of the polygon, join."""
         if self.curve:
             return [(k, k + 1) for k in range(self.degree)]
-        n, pairs = self.degree, set()
-        for i, j, _k in bernstein.multi_indices(n - 1).tolist():
-            rows = (bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1), bernstein.row(n, i, j))
-            pairs |= {(min(a, b), max(a, b)) for a, b in zip(rows, rows[1:] + rows[:1])}
-        return sorted(pairs)
+        return [(a, b) for a, b in bernstein.net_edges(self.degree).tolist()]
 
     def _row(self, row: int) -> int:
         if not (isinstance(row, (int, np.integer)) and 0 <= row < len(self.net)):

@@ -57,8 +57,7 @@ def triangle_decasteljau(style: str = "screen", u: float = 0.3, v: float = 0.3) 
     looks = ("polygon", "construction", "tangent")
     for level, look in zip(scheme[:-1], looks):
         n = bernstein.degree_of(len(level))
-        for i, j, _k in bernstein.multi_indices(n - 1):
-            rows = [bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1), bernstein.row(n, i, j)]
+        for rows in bernstein.net_triangles(n).tolist():
             if look == "tangent":
                 d.fill(level[rows], 0.55, alpha=0.55)
             d.polyline(level[rows], look, closed=True)

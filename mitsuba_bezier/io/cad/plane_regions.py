@@ -216,12 +216,7 @@ def _curve_area(curve: np.ndarray) -> float:
 
 
 def _sides(net: np.ndarray) -> list[np.ndarray]:
-    n = bernstein.degree_of(len(net))
-    return [
-        net[[bernstein.row(n, n - t, t) for t in range(n + 1)]],
-        net[[bernstein.row(n, 0, n - t) for t in range(n + 1)]],
-        net[[bernstein.row(n, t, 0) for t in range(n + 1)]],
-    ]
+    return [net[rows] for rows in bernstein.edge_rows(bernstein.degree_of(len(net)))]
 
 
 def _length(curve: np.ndarray) -> float:

@@ -168,10 +168,5 @@ def _nets(patches: Any) -> list[tuple[np.ndarray, list[tuple[int, int]]]]:
         raise GeometryError.expected(
             "patches", "BezierTriangles or a BezierCurve", f"{type(patches).__name__}"
         )
-    n = patches.degree
-    pairs = set()
-    for i, j, _k in bernstein.multi_indices(n - 1).tolist():
-        rows = (bernstein.row(n, i + 1, j), bernstein.row(n, i, j + 1), bernstein.row(n, i, j))
-        pairs |= {tuple(sorted((rows[m], rows[m - 1]))) for m in range(3)}
-    ordered = sorted((int(a), int(b)) for a, b in pairs)
-    return [(net, ordered) for net in patches.control_points]
+    pairs = [(a, b) for a, b in bernstein.net_edges(patches.degree).tolist()]
+    return [(net, pairs) for net in patches.control_points]
