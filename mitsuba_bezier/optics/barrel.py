@@ -12,10 +12,7 @@ from ..geometry.revolution import disk_sectors
 from ..geometry.triangles import BezierTriangles
 from .lens import Lens
 from .paraxial import first_order
-from .patches import clear_radii, rim_patches
-
-#: Reflectance of black paint and anodised metal.
-BLACK = 0.02
+from .patches import black_paint, clear_radii, rim_patches
 
 
 def camera_frame(lens: Lens, to_world: np.ndarray | None = None, scale: float = 1e-3) -> np.ndarray:
@@ -92,14 +89,13 @@ def barrel_shapes(
     vertices = lens.frames()[:, 2, 3]
     glass = [i for i in range(len(lens.surfaces)) if media[i] != media[i + 1]]
     rims = {i: (radii[i], vertices[i] + float(lens.surfaces[i].sag(radii[i]))) for i in glass}
-    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [BLACK] * 3}}
     shapes: dict[str, dict[str, Any]] = {}
 
     def add(name: str, net: BezierTriangles) -> None:
         shapes[name] = {
             "type": "beziertriangle",
             "control_points": net.transform(world),
-            "bsdf": {"type": "twosided", "b": black},
+            "bsdf": black_paint(),
         }
 
     for i, j in pairwise(glass):

@@ -18,6 +18,8 @@ from ..errors import PrescriptionError, RuntimeSetupError
 
 #: Wavelengths of the Fraunhofer lines d, F and C in micrometres.
 LINE_D, LINE_F, LINE_C = 0.5875618, 0.4861327, 0.6562725
+#: What the three channels of rgb variants stand for, in micrometres: about sRGB's primaries.
+CHANNELS = (0.610, 0.550, 0.465)
 
 #: Shelves of the database that hold glass, in the order in which a name without a maker is sought.
 _MAKERS = (
@@ -363,6 +365,6 @@ def absorbing(medium: Medium, scale: float = 1e-3) -> dict[str, Any]:
     >>> absorbing(Constant(1.5))["sigma_t"]["value"]
     [0.0, 0.0, 0.0]
     """
-    rates = absorption(medium, np.array([0.610, 0.550, 0.465])) / scale
+    rates = absorption(medium, np.array(CHANNELS)) / scale
     sigma = {"type": "rgb", "value": [float(rate) for rate in rates]}
     return {"type": "homogeneous", "albedo": 0.0, "sigma_t": sigma}

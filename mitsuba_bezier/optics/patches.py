@@ -15,6 +15,9 @@ from .beams import used_semi_diameters
 from .glass import spelled
 from .lens import Lens, Surface
 
+#: Reflectance of black paint and anodised metal.
+BLACK = 0.02
+
 #: Clear radii that a prescription leaves out are this much wider than its beams.
 _ROOM = 1.05
 
@@ -168,6 +171,12 @@ def clear_radii(lens: Lens) -> np.ndarray:
     )
 
 
+def black_paint() -> dict[str, Any]:
+    """Return the BSDF of what makers blacken: edges, the plate of the stop, the barrel."""
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [BLACK] * 3}}
+    return {"type": "twosided", "b": black}
+
+
 def lens_shapes(
     lens: Lens,
     wavelength: float | None = None,
@@ -218,7 +227,6 @@ def lens_shapes(
     world = np.eye(4) if to_world is None else np.asarray(to_world, float)
     n, radii, media = lens.indices(w), clear_radii(lens), lens.media()
     frames = world @ lens.frames()
-    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.02, 0.02, 0.02]}}
     shapes: dict[str, dict[str, Any]] = {}
 
     def add(name: str, net: BezierTriangles, frame: np.ndarray, bsdf: dict[str, Any]) -> None:
@@ -257,7 +265,7 @@ def lens_shapes(
                 "stop",
                 annulus_patches(radii[i], outer),
                 frames[i],
-                {"type": "twosided", "b": black},
+                black_paint(),
             )
         if (
             edges
@@ -273,7 +281,7 @@ def lens_shapes(
                     f"edge-{i + 1}",
                     rim_patches(low, high),
                     frames[i],
-                    {"type": "twosided", "b": black},
+                    black_paint(),
                 )
     return shapes
 

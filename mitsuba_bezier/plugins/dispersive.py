@@ -9,8 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import VariantError
-from ..optics import Medium, coating, glass, reflectance
-from .lens.glass import CHANNELS, COUNT, FIRST, LAST, tabulated, wavelength_place
+from ..optics import Medium, coating, glass
+from ..optics.glass import CHANNELS, LINE_D
+from .lens.ghosts import reflected
+from .lens.glass import COUNT, FIRST, LAST, tabulated, wavelength_place
 from .one_color import channel_of
 
 __all__ = ["make_dispersive_class"]
@@ -178,17 +180,14 @@ def _append(pair: list[Any], wave: Any, front: Any, lanes: tuple[list[Any], ...]
 def _indices(medium: Medium) -> Any:
     """Return indices on the device: at the d line, of three channels, and at equal steps."""
     steps = np.linspace(FIRST, LAST, COUNT) * 1e-3
-    return mi.Float(tabulated(medium, np.concatenate([[0.5875618], CHANNELS, steps]), 0.5875618))
+    return mi.Float(tabulated(medium, np.concatenate([[LINE_D], CHANNELS, steps]), LINE_D))
 
 
 def _mirrored(before: Any, behind: Any, cosine: Any, wave: Any, layers: Any) -> Any:
     """Return the share that is reflected; layers are on the side of the lower index."""
-    ratio = before / behind
-    total = 1.0 - ratio * ratio * (1.0 - cosine * cosine) <= 0
     if layers is None:
+        ratio = before / behind
+        total = 1.0 - ratio * ratio * (1.0 - cosine * cosine) <= 0
         return dr.select(total, mi.Float(1.0), 0.0)
-    low, high = dr.minimum(before, behind), dr.maximum(before, behind)
-    square = 1.0 - (before / low) ** 2 * (1.0 - cosine * cosine)
-    share = reflectance(low, high, dr.sqrt(dr.maximum(square, 0.0)), wave, layers, m=dr)
-    share = dr.select(before == behind, 0.0, share) if not layers else share
-    return dr.select(total, 1.0, dr.clip(share, 0.0, 1.0))
+    share = reflected(before, behind, cosine, wave, layers)
+    return dr.select(before == behind, 0.0, share) if not layers else share

@@ -17,7 +17,7 @@ from ...optics import reflectance
 from .glass import Glass, Light
 from .surfaces import Blades, Surfaces, meet, refracted
 
-__all__ = ["mirrored_share", "walk"]
+__all__ = ["mirrored_share", "reflected", "walk"]
 
 #: Reflections are tried at least this often: those of good coatings would hardly ever be seen.
 _TRIED = 0.04
@@ -36,17 +36,21 @@ def mirrored_share(
         share = mi.Spectrum(0.0)
         inside = 1 - (before / behind) ** 2 * (1 - cosine * cosine)
         return dr.select(inside > 0, share, mi.Spectrum(1.0))
+    share = mi.Spectrum(reflected(before, behind, cosine, light.waves, ()))
+    if layers:
+        coated = mi.Spectrum(reflected(before, behind, cosine, light.waves, layers))
+        share = dr.select(mi.Mask(cemented), share, coated)
+    return dr.select(before == behind, mi.Spectrum(0.0), share)
+
+
+def reflected(before: Any, behind: Any, cosine: Any, waves: Any, layers: Any) -> Any:
+    """Return the share that a surface reflects; layers stand on the side of the lower index."""
     low, high = dr.minimum(before, behind), dr.maximum(before, behind)
     # the cosine in the medium of the lower index; there is none where light is totally reflected
     ratio = before / low
     square = 1 - ratio * ratio * (1 - cosine * cosine)
-    outer = dr.sqrt(dr.maximum(square, 0.0))
-    share = mi.Spectrum(reflectance(low, high, outer, m=dr))
-    if layers:
-        coated = mi.Spectrum(reflectance(low, high, outer, light.waves, layers, m=dr))
-        share = dr.select(mi.Mask(cemented), share, coated)
-    share = dr.select(square > 0, share, mi.Spectrum(1.0))
-    return dr.select(before == behind, mi.Spectrum(0.0), dr.clip(share, 0.0, 1.0))
+    share = reflectance(low, high, dr.sqrt(dr.maximum(square, 0.0)), waves, layers, m=dr)
+    return dr.select(square > 0, dr.clip(share, 0.0, 1.0), 1.0)
 
 
 def walk(

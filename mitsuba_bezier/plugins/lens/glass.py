@@ -10,14 +10,12 @@ import numpy as np
 
 from ...errors import PrescriptionError
 from ...optics import Lens, Medium
-from ...optics.glass import abbe_numbers, abbe_terms, absorption
+from ...optics.glass import CHANNELS, abbe_numbers, abbe_terms, absorption
 
-__all__ = ["CHANNELS", "COUNT", "FIRST", "LAST", "Glass", "Light", "tabulated", "wavelength_place"]
+__all__ = ["COUNT", "FIRST", "LAST", "Glass", "Light", "tabulated", "wavelength_place"]
 
 #: Wavelengths in nanometres at which indices are tabulated.
 FIRST, LAST, COUNT = 360.0, 830.0, 95
-#: Of the three channels of rgb variants, in micrometres (about where sRGB's primaries are).
-CHANNELS = (0.610, 0.550, 0.465)
 #: Millimetres of a lens's unit.
 _MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 

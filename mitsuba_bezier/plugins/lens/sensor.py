@@ -13,11 +13,12 @@ import numpy as np
 from ...errors import BezierError, PrescriptionError
 from ...optics import Lens, coating, first_order, load, reflectance, trace
 from ...optics.backwards import backwards, pupil_bounds
+from ...optics.glass import CHANNELS
 from ...optics.patches import clear_radii
 from ...optics.scaling import focused, stopped_down
 from ..one_color import chosen, time_of
 from .ghosts import mirrored_share, walk
-from .glass import CHANNELS, Glass, Light, wavelength_place
+from .glass import Glass, Light, wavelength_place
 from .surfaces import Blades, Surfaces, meet, refracted
 
 __all__ = ["make_lens_class"]

@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...kernels.revolution_records import sag_and_slopes
 from ...optics import Lens
 
 __all__ = ["Blades", "Surfaces", "meet", "refracted"]
@@ -147,14 +148,8 @@ def _nearer(shape: tuple[Any, Any, list[Any]], o: Any, d: Any, t: Any) -> Any:
 def _sag(shape: tuple[Any, Any, list[Any]], s: Any) -> tuple[Any, Any]:
     """Return sag and slope over r at squared distances `s` from the axis."""
     c, k, polynomial = shape
-    root = dr.sqrt(dr.maximum(1 - (1 + k) * c * c * s, 1e-6))
-    sag, slope = c * s / (1 + root), c / root
-    power: Any = 1.0
-    for i, a in enumerate(polynomial, start=1):
-        slope = slope + 2 * i * a * power
-        power = power * s
-        sag = sag + a * power
-    return sag, slope
+    sag, by_square, _second = sag_and_slopes(c, (1 + k) * c * c, polynomial, s)
+    return sag, 2 * by_square
 
 
 def refracted(
