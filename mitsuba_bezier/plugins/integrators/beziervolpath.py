@@ -129,7 +129,7 @@ def _trace(
     rays = SceneRays(scene)
     emitters = EmitterSampling(rays)
     media = Media(scene, sensor_medium)
-    delta = has_delta(scene)
+    delta = adjoint is not None and has_delta(scene)
     context = mi.BSDFContext()
     max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
     hide = integrator.hide_emitters
@@ -258,11 +258,11 @@ def _trace(
             new_pdf = dr.select(scatters, density, new_pdf)
             new_ray = dr.select(scatters, mei.spawn_ray(d), new_ray)
         mis = dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf))
-        direct = dr.select(asks, throughput * value * arrives * mis, 0.0)
-        result = result + direct if adjoint is None else result - direct
+        arrived = dr.select(asks, throughput * value * arrives * mis, 0.0)
+        result = result + arrived if adjoint is None else result - arrived
         if adjoint is not None:
             way = shadow.ray, into, again, asks, shadow.reach
-            change = adjoint.way(rays, media, way, direct, st["derivative"])
+            change = adjoint.way(rays, media, way, arrived, st["derivative"])
             with dr.resume_grad():
                 lit = adjoint.light(rays, si, scatters, ref, ds, end, em_weight, asks)
                 seen = bsdf.eval(context, si, wo, asks & ~scatters)
@@ -276,7 +276,7 @@ def _trace(
                     onward = phase.eval_pdf(phase_context, mei, d, scatters)[0]
                     seen = dr.select(scatters, towards, seen)
                     leaves = dr.select(scatters, onward, leaves)
-                terms.append(direct * relative(lit) * relative(seen))
+                terms.append(arrived * relative(lit) * relative(seen))
                 terms.append(dr.select(bounces | scatters, result, 0.0) * relative(leaves))
                 derivative = adjoint.add(st["derivative"], sum(terms)) + change
 

@@ -20,7 +20,16 @@ import mitsuba as mi
 from ..interaction import Preliminary
 from ..scene import SceneRays
 
-__all__ = ["LONGEST", "Bend", "Chains", "Vertex", "has_delta", "what_moves"]
+__all__ = [
+    "LONGEST",
+    "Bend",
+    "Chains",
+    "Vertex",
+    "has_delta",
+    "is_followed",
+    "what_moves",
+    "with_derivatives",
+]
 
 #: Vertices of a chain that pass on derivatives in reverse mode; a longer one is cut there. It is
 #: what a thread keeps: about 100 bytes each.
@@ -35,19 +44,26 @@ def has_delta(scene: Any) -> bool:
     return any(b is not None and mi.has_flag(b.flags(), mi.BSDFFlags.Delta) for b in bsdfs)
 
 
-def what_moves(scene: Any) -> list[str]:
-    """Return the parameters with derivatives that rays may follow: places, normals, ior."""
+def with_derivatives(scene: Any) -> list[tuple[str, Any, Any]]:
+    """Return the parameters that have derivatives now: names, the objects they are of, flags."""
     params = mi.traverse(scene)
+    found = []
     with dr.resume_grad():
-        return [key for key in params.keys() if _is_followed(params, key)]  # noqa: SIM118
+        for key in params.keys():  # noqa: SIM118 (no dict)
+            _value, _kind, node, flags = params.properties[key]
+            if not flags & mi.ParamFlags.NonDifferentiable and dr.grad_enabled(params[key]):
+                found.append((key, node, flags))
+    return found
 
 
-def _is_followed(params: Any, key: str) -> bool:
-    _value, _kind, node, flags = params.properties[key]
-    if flags & mi.ParamFlags.NonDifferentiable:
-        return False
-    moves = flags & mi.ParamFlags.Discontinuous or isinstance(node, mi.Shape | mi.BSDF)
-    return bool(moves and dr.grad_enabled(params[key]))
+def is_followed(node: Any, flags: Any) -> bool:
+    """Return whether rays may follow a parameter: a place, a normal, an ior."""
+    return bool(flags & mi.ParamFlags.Discontinuous or isinstance(node, mi.Shape | mi.BSDF))
+
+
+def what_moves(scene: Any) -> list[str]:
+    """Return the names of parameters with derivatives that rays may follow."""
+    return [key for key, node, flags in with_derivatives(scene) if is_followed(node, flags)]
 
 
 @dataclass

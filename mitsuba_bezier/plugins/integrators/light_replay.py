@@ -16,12 +16,12 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
-from .chains import Bend, Chains, Vertex, has_delta, what_moves
+from .chains import Bend, Chains, Vertex, has_delta, is_followed, with_derivatives
 from .emitters import EmitterSampling
 from .path_replay import relative, solid_angle
 from .path_tracing import russian_roulette
 
-__all__ = ["Footprint", "LightReplay"]
+__all__ = ["Footprint", "LightReplay", "correction", "shutter_time"]
 
 
 class Footprint:
@@ -115,6 +115,14 @@ def correction(wi: Any, wi_shading: Any, wo: Any, wo_shading: Any) -> Any:
     return dr.select(good, dr.abs(wi_shading * wo / (wo_shading * wi)), 0.0)
 
 
+def shutter_time(sensor: Any, sampler: Any) -> Any:
+    """Return a time at which the sensor's shutter is open."""
+    time = mi.Float(sensor.shutter_open())
+    if sensor.shutter_open_time() > 0:
+        time += sampler.next_1d() * sensor.shutter_open_time()
+    return time
+
+
 def _colour(value: Any, wavelengths: Any) -> Any:
     """Return what a film records."""
     if mi.is_spectral:
@@ -122,16 +130,10 @@ def _colour(value: Any, wavelengths: Any) -> Any:
     return mi.Color3f(value.x) if mi.is_monochromatic else mi.Color3f(value)
 
 
-def _moving_ends(scene: Any) -> list[str]:
-    """Return parameters with derivatives that move lights or sensors."""
-    params = mi.traverse(scene)
-    found = []
-    for key in what_moves(scene):
-        node = params.properties[key][2]
-        lamp = isinstance(node, mi.Shape) and node.is_emitter()
-        if lamp or isinstance(node, mi.Emitter | mi.Sensor):
-            found.append(key)
-    return found
+def _is_end(node: Any) -> bool:
+    """Return whether what moves there is a light or a sensor."""
+    lamp = isinstance(node, mi.Shape) and node.is_emitter()
+    return bool(lamp or isinstance(node, mi.Emitter | mi.Sensor))
 
 
 class LightReplay:
@@ -171,7 +173,9 @@ class LightReplay:
     ) -> None:
         self.integrator, self.rays, self.sensor, self.mode = integrator, rays, sensor, mode
         self.image, self.channels, self.scale = image, channels, scale
-        ends = _moving_ends(rays.scene)
+        found = with_derivatives(rays.scene)
+        moving = [(key, node) for key, node, flags in found if is_followed(node, flags)]
+        ends = [key for key, node in moving if _is_end(node)]
         if ends:
             raise BezierError.expected(
                 "bezierptracer",
@@ -182,7 +186,7 @@ class LightReplay:
         self.footprint = Footprint(sensor.film())
         self.emitters = EmitterSampling(rays)
         self.delta = has_delta(rays.scene)
-        self.moves = bool(what_moves(rays.scene))
+        self.moves = bool(moving)
         self.sampler: Any = None
 
     @property
@@ -191,10 +195,7 @@ class LightReplay:
 
     def time(self) -> Any:
         """Return when light leaves."""
-        time = mi.Float(self.sensor.shutter_open())
-        if self.sensor.shutter_open_time() > 0:
-            time += self.sampler.next_1d() * self.sensor.shutter_open_time()
-        return time
+        return shutter_time(self.sensor, self.sampler)
 
     # ------------------------------------------------------------------ emitters
 

@@ -15,6 +15,7 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..native.originals import original
 from ..scene import SceneRays
+from .chains import with_derivatives
 from .media import Media, transmittance, transmittance_by_colour, with_coefficients
 from .path_replay import relative
 
@@ -23,19 +24,14 @@ __all__ = ["MediumAdjoint"]
 
 def _enabled(scene: Any) -> tuple[list[str], list[str]]:
     """Return parameters with derivatives that move what rays meet, or rays; and those of media."""
-    params = mi.traverse(scene)
     turning, media = [], []
-    with dr.resume_grad():
-        for key in params.keys():  # noqa: SIM118 (no dict)
-            _value, _kind, node, flags = params.properties[key]
-            if flags & mi.ParamFlags.NonDifferentiable or not dr.grad_enabled(params[key]):
-                continue
-            delta = isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Delta)
-            moves = isinstance(node, mi.Shape | mi.Emitter | mi.Sensor) or delta
-            if moves and flags & mi.ParamFlags.Discontinuous:
-                turning.append(key)
-            if "_medium." in key:
-                media.append(key)
+    for key, node, flags in with_derivatives(scene):
+        delta = isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Delta)
+        moves = isinstance(node, mi.Shape | mi.Emitter | mi.Sensor) or delta
+        if moves and flags & mi.ParamFlags.Discontinuous:
+            turning.append(key)
+        if "_medium." in key:
+            media.append(key)
     return turning, media
 
 

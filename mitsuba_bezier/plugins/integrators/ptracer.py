@@ -17,7 +17,7 @@ from ..offsets import own_error, spawn_ray, spawn_ray_to
 from ..scene import SceneRays
 from .depths import check_depths
 from .emitters import EmitterSampling
-from .light_replay import LightReplay, correction
+from .light_replay import LightReplay, correction, shutter_time
 from .path_tracing import russian_roulette
 
 __all__ = ["make_ptracer_class"]
@@ -186,10 +186,7 @@ class _Splat:
 
     def time(self) -> Any:
         """Return when light leaves."""
-        time = mi.Float(self.sensor.shutter_open())
-        if self.sensor.shutter_open_time() > 0:
-            time += self.sampler.next_1d() * self.sensor.shutter_open_time()
-        return time
+        return shutter_time(self.sensor, self.sampler)
 
     def connect(self, si: Any, p_err: Any, ds: Any, value: Any, alpha: float, active: Any) -> None:
         """Add `value`, the light from `si` towards the sensor, unless something is between."""

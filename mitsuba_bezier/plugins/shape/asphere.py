@@ -104,14 +104,7 @@ def make_asphere_class() -> type:
             edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
             for name in ("curvature", "conic", "coefficients", "to_world"):
                 cb.put(name, getattr(self, name), edges)
-            for name, child in (
-                ("bsdf", self.bsdf()),
-                ("emitter", self.emitter()),
-                ("interior_medium", self.interior_medium()),
-                ("exterior_medium", self.exterior_medium()),
-            ):
-                if child is not None:
-                    cb.put(name, child, mi.ParamFlags.Differentiable)
+            self._traverse_children(cb)
 
         def _changed(self, keys: Any) -> None:
             own = {"curvature", "conic", "coefficients", "to_world"}
@@ -131,12 +124,7 @@ def make_asphere_class() -> type:
                 surface = EvenAsphere(given[0], old.aperture, given[1], terms, old.inner)
                 matrix = read_affine(self.to_world)
             except BezierError:
-                curvature, conic, coefficients = self._shown
-                mi.set_property(self.curvature, mi.Float(curvature))
-                mi.set_property(self.conic, mi.Float(conic))
-                mi.set_property(self.coefficients, _tensor(coefficients))
-                world = mi.Matrix4f(self.state.object_to_world.tolist())
-                mi.set_property(self.to_world, mi.Transform4f(world))
+                self._restore()
                 raise
             if np.array_equal(matrix, self.state.object_to_world.astype(np.float32)):
                 matrix = self.state.object_to_world
@@ -144,6 +132,14 @@ def make_asphere_class() -> type:
             self.state.surface = surface
             self.state.place(self.state.object_patches, matrix)
             self._commit()
+
+        def _restore(self) -> None:
+            """Give all parameters their last valid values."""
+            super()._restore()
+            curvature, conic, coefficients = self._shown
+            mi.set_property(self.curvature, mi.Float(curvature))
+            mi.set_property(self.conic, mi.Float(conic))
+            mi.set_property(self.coefficients, _tensor(coefficients))
 
         def to_string(self) -> str:
             s = self.asphere

@@ -257,6 +257,10 @@ def make_shape_class() -> type:
                 cb.put("texcoords", self.texcoords, mi.ParamFlags.NonDifferentiable)
             for name, (values, _texture) in self._attributes.items():
                 cb.put(name, values, mi.ParamFlags.Differentiable)
+            self._traverse_children(cb)
+
+        def _traverse_children(self, cb: Any) -> None:
+            """Show what is nested in the shape."""
             for name, child in (
                 ("bsdf", self.bsdf()),
                 ("emitter", self.emitter()),
