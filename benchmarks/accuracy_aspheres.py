@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from accuracy_rows import scaled
@@ -18,7 +17,7 @@ from mitsuba_bezier.oracles.aspheres import first_hits
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the aspheres of the tests
 
-from asphere_cases import ASPHERES, rays_at
+from asphere_cases import ASPHERES, asphere_parameters, rays_at
 
 __all__ = ["asphere_parameters", "aspheres"]
 
@@ -31,18 +30,6 @@ GRAZING = 1e-12
 RIM = 2e-6
 #: Rays a part: bounds the memory.
 _PART = 100_000
-
-
-def asphere_parameters(surface: EvenAsphere) -> dict[str, Any]:
-    """Return an asphere as a dictionary for `mi.load_dict`."""
-    return {
-        "type": "asphere",
-        "curvature": surface.curvature,
-        "conic": surface.conic,
-        "coefficients": " ".join(map(repr, surface.coefficients)),
-        "aperture": surface.aperture,
-        "inner_radius": surface.inner,
-    }
 
 
 def asphere_tracer(surface: EvenAsphere) -> Tracer:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mitsuba_bezier.geometry.aspheres import EvenAsphere
@@ -20,6 +22,18 @@ ASPHERES = {
     "r^40": EvenAsphere(0, 1, 0, [0.0] * 19 + [0.5]),
     "Schmidt plate": EvenAsphere(0, 100, 0, (1e-5, -1e-9)),
 }
+
+
+def asphere_parameters(surface: EvenAsphere) -> dict[str, Any]:
+    """Return an asphere as a dictionary for `mi.load_dict`."""
+    return {
+        "type": "asphere",
+        "curvature": surface.curvature,
+        "conic": surface.conic,
+        "coefficients": " ".join(map(repr, surface.coefficients)),
+        "aperture": surface.aperture,
+        "inner_radius": surface.inner,
+    }
 
 
 def rays_at(surface: EvenAsphere, count: int, seed: int) -> tuple[np.ndarray, ...]:

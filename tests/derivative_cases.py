@@ -6,10 +6,22 @@ from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from mitsuba_cases import tensor
 
-__all__ = ["BENT", "KEY", "attach", "central", "film", "inner", "set_net", "weights"]
+__all__ = [
+    "BENT",
+    "KEY",
+    "attach",
+    "central",
+    "film",
+    "forward",
+    "inner",
+    "reverse",
+    "set_net",
+    "weights",
+]
 
 KEY = "surface.control_points"
 
@@ -65,6 +77,23 @@ def attach(params: Any, net: np.ndarray) -> Any:
 def inner(image: Any, w: np.ndarray) -> float:
     """Return the loss of an image, or the change of the loss of a derivative image."""
     return float((np.array(image, dtype=np.float64) * w).sum())
+
+
+def reverse(render: Callable[[Any], Any], w: np.ndarray) -> float:
+    """Return the derivative of the loss of ``render(e)`` at 0, in reverse mode."""
+    e = mi.Float(0)
+    dr.enable_grad(e)
+    dr.backward(dr.sum(render(e) * mi.TensorXf(w), axis=None))
+    return float(dr.grad(e)[0])
+
+
+def forward(render: Callable[[Any], Any], w: np.ndarray) -> float:
+    """Return the same in forward mode."""
+    e = mi.Float(0)
+    dr.enable_grad(e)
+    image = render(e)
+    dr.forward(e)
+    return inner(dr.grad(image), w)
 
 
 def central(

@@ -12,6 +12,7 @@ from ..errors import GeometryError
 from ..geometry.camera import Camera
 from ..geometry.triangles import BezierTriangles
 from ..plugins.native.dictionaries import shape
+from ..verification.preview import to_srgb8
 
 __all__ = ["MODES", "Painter"]
 
@@ -26,12 +27,6 @@ BACKGROUND = np.array([240, 240, 242], dtype=np.uint8)
 #: Colours of the two sides of a surface, and the light on them: of the sky, and of a lamp.
 FRONT, BACK = (0.13, 0.30, 0.52), (0.62, 0.34, 0.13)
 SKY, LAMP, LAMP_WAY = 0.55, 1.7, (0.4, 0.6, -1.0)
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """Return linear colours with sRGB's curve, from 0 to 255."""
-    x = np.clip(linear, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055) * 255
 
 
 def _opaque(v: np.ndarray) -> Any:
@@ -167,7 +162,7 @@ class Painter:
         mean = total / np.float32(done)
         if key[-1] == "light" and not key[1]:  # four numbers a pixel, linear, before nothing
             behind = (BACKGROUND.astype(np.float32) / 255) ** np.float32(2.2)
-            mean = srgb(mean[..., :3] + (1 - mean[..., 3:]) * behind)
+            return to_srgb8(mean[..., :3] + (1 - mean[..., 3:]) * behind)
         return np.asarray(mean.round().astype(np.uint8))
 
     def _size(self, camera: Camera, mode: str) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from asphere_cases import ASPHERES, rays_at
+from asphere_cases import ASPHERES, asphere_parameters, rays_at
 from backend_cases import VARIANT
 
 import mitsuba_bezier
@@ -28,17 +28,6 @@ LENS = {
 }
 
 
-def parameters(surface: EvenAsphere) -> dict:
-    return {
-        "type": "asphere",
-        "curvature": surface.curvature,
-        "conic": surface.conic,
-        "coefficients": " ".join(map(repr, surface.coefficients)),
-        "aperture": surface.aperture,
-        "inner_radius": surface.inner,
-    }
-
-
 def ray_of(o: np.ndarray, d: np.ndarray):
     return mi.Ray3f(mi.Point3f(np.float32(o).T), mi.Vector3f(np.float32(d).T))
 
@@ -50,7 +39,7 @@ def rows(value) -> np.ndarray:
 @pytest.mark.parametrize("name", ["lens", "ring", "wavy", "r^40"])
 def test_points_normals_and_partials_are_those_of_the_sag(name):
     surface = ASPHERES[name]
-    shape = mi.load_dict(parameters(surface))
+    shape = mi.load_dict(asphere_parameters(surface))
     o, d, kind = rays_at(surface, 3000, 1)
     si = shape.ray_intersect(ray_of(o, d), mi.RayFlags.All | mi.RayFlags.dNGdUV)
     ok = np.array(si.is_valid()) & (kind != 4)
@@ -97,7 +86,7 @@ def test_where_it_is_turned_squeezed_and_mirrored():
         matrix = np.eye(4)
         matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ np.diag([1, 2, 0.3 * mirrored])
         matrix[:3, 3] = 30, -40, 50
-        shape = mi.load_dict({**parameters(surface), "to_world": matrix})
+        shape = mi.load_dict({**asphere_parameters(surface), "to_world": matrix})
         o, d, kind = rays_at(surface, 2000, 2)
         wo, wd = o @ matrix[:3, :3].T + matrix[:3, 3], d @ matrix[:3, :3].T
         si = shape.ray_intersect(ray_of(wo, wd))
@@ -131,7 +120,7 @@ def test_normals_are_towards_positive_z_unless_flipped():
 def test_samples_have_their_density_and_the_area():
     surface = ASPHERES["ring"]
     shape = mi.load_dict(
-        {**parameters(surface), "to_world": mi.ScalarTransform4f().scale([1, 2, 1])}
+        {**asphere_parameters(surface), "to_world": mi.ScalarTransform4f().scale([1, 2, 1])}
     )
     count = 200_000
     x = np.random.default_rng(0).random((2, count)).astype(np.float32)
@@ -158,7 +147,7 @@ def test_samples_have_their_density_and_the_area():
 
 def test_points_by_their_texture_coordinates():
     surface = ASPHERES["ring"]
-    shape = mi.load_dict(parameters(surface))
+    shape = mi.load_dict(asphere_parameters(surface))
     uv = np.random.default_rng(1).random((500, 2)).astype(np.float32)
     si = shape.eval_parameterization(mi.Point2f(uv.T))
     place = (2 * uv.astype(float) - 1) * surface.aperture
@@ -296,7 +285,7 @@ def test_instances():
     maps[1, :3, 3] = 40, 0, 0
     maps[2, :3, :3] *= 0.5
     maps[2, :3, 3] = 0, 40, 0
-    shape = mi.load_dict({**parameters(surface), "instances": maps})
+    shape = mi.load_dict({**asphere_parameters(surface), "instances": maps})
     o = np.array([[1, 2, 50], [41, 2, 50], [0.5, 41, 50], [20, 20, 50.0]])
     si = shape.ray_intersect(ray_of(o, np.tile([0, 0, -1.0], (4, 1))))
     assert np.array(si.is_valid()).tolist() == [True, True, True, False]

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import inner, weights
+from derivative_cases import forward, inner, reverse, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
@@ -78,15 +78,8 @@ def derivatives(key: str, value: Any, spp: int) -> tuple[float, float, Any]:
         params.update()
         return mi.render(scene, params, integrator=integrator, spp=spp, seed=1, seed_grad=2)
 
-    e = mi.Float(0)
-    dr.enable_grad(e)
-    dr.backward(dr.sum(rendered(e) * mi.TensorXf(w), axis=None))
-    reverse = dr.grad(e)[0]
-    e = mi.Float(0)
-    dr.enable_grad(e)
-    image = rendered(e)
-    dr.forward(e)
-    return reverse, inner(dr.grad(image), w), lambda x: inner(rendered(mi.Float(x)), w)
+    both = reverse(rendered, w), forward(rendered, w)
+    return *both, lambda x: inner(rendered(mi.Float(x)), w)
 
 
 def test_caustic():
