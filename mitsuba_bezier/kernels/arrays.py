@@ -15,6 +15,7 @@ from ..errors import BezierError
 __all__ = [
     "Types",
     "dot3",
+    "four_zeros",
     "gather_packets",
     "gather_row",
     "inverse_root",
@@ -123,6 +124,11 @@ def gather_row(buffer: Any, row: Any, active: Any = True) -> list[Any]:
     vector = _vector_of(dr.leaf_t(buffer))
     values = dr.gather(vector, buffer, row, active, shape=(4, dr.width(row)))
     return [values[i] for i in range(4)]
+
+
+def four_zeros(number: Any) -> list[Any]:
+    """Return four zeros: a row of a net in which nothing is summed up yet."""
+    return [dr.zeros(number) for _ in range(4)]
 
 
 def dot3(a: Any, b: Any) -> Any:

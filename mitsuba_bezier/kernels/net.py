@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
-from .arrays import gather_row, reciprocal, types_of
+from .arrays import four_zeros, gather_row, reciprocal, types_of
 
 __all__ = ["graph_point", "horner", "horner_value", "rolled_horner"]
 
@@ -87,7 +87,7 @@ def rolled_horner(
             return left - 1, row + 1, r, rv
 
         _left, row, r, rv = dr.while_loop(
-            (at + 1, row, _zeros(number), _zeros(number)),
+            (at + 1, row, four_zeros(number), four_zeros(number)),
             cond=lambda left, *_: active & (left != 0),
             body=step,
             labels=("left", "row", "r", "rv"),
@@ -99,17 +99,13 @@ def rolled_horner(
         return at + 1, row, s, su, sv
 
     _at, _row, s, su, sv = dr.while_loop(
-        (uint(0), first, _zeros(number), _zeros(number), _zeros(number)),
+        (uint(0), first, four_zeros(number), four_zeros(number), four_zeros(number)),
         cond=lambda at, *_: active & (at <= degree),
         body=level,
         labels=("level", "row", "s", "su", "sv"),
         label="bezier level",
     )
     return s, su, sv
-
-
-def _zeros(number: Any) -> list[Any]:
-    return [dr.zeros(number) for _ in range(4)]
 
 
 def graph_point(

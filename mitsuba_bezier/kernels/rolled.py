@@ -15,7 +15,7 @@ from typing import Any
 
 import drjit as dr
 
-from .arrays import gather_row
+from .arrays import four_zeros, gather_row
 
 __all__ = ["add_gradient", "partials_up_to", "rolled_partials"]
 
@@ -103,7 +103,13 @@ def rolled_partials(
             return k + 1, row + 1, factor, powers, r
 
         _k, row, _factor, _powers, r = dr.while_loop(
-            (uint(0), row, choices, _first_powers(number, order), [_zeros(number) for _ in inner]),
+            (
+                uint(0),
+                row,
+                choices,
+                _first_powers(number, order),
+                [four_zeros(number) for _ in inner],
+            ),
             cond=lambda k, *_: active & (k <= at),
             body=step,
             labels=("k", "row", "factor", "powers", "r"),
@@ -121,7 +127,7 @@ def rolled_partials(
         return at + 1, row, choices, p
 
     _at, _row, _choices, p = dr.while_loop(
-        (uint(0), first, dr.full(number, 1.0), [_zeros(number) for _ in outer]),
+        (uint(0), first, dr.full(number, 1.0), [four_zeros(number) for _ in outer]),
         cond=lambda at, *_: active & (at <= degree),
         body=level,
         labels=("level", "row", "choices", "p"),
@@ -213,10 +219,6 @@ def add_gradient(
         labels=("i", "choices", "powers"),
         label="bezier level",
     )
-
-
-def _zeros(number: Any) -> list[Any]:
-    return [dr.zeros(number) for _ in range(4)]
 
 
 def _plus(s: list[Any], x: Any, before: list[Any], times: int) -> list[Any]:

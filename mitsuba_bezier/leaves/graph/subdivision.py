@@ -201,13 +201,22 @@ def _flat(nets: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return finite & (spread < _FLAT * size)
 
 
+def _normals(matrices: tuple[np.ndarray, ...], nets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals ``(L, N, 3)`` at some points, times the square of the weights, and these.
+
+    `matrices` take nets to values and partials.
+    """
+    value, du, dv = (m @ nets for m in matrices)
+    p = _affine(value)
+    normal = np.cross(du[..., :3] - p * du[..., 3:], dv[..., :3] - p * dv[..., 3:])
+    return normal, value[..., 3]
+
+
 def _folded(nets: np.ndarray) -> np.ndarray:
     """Return a mask of nets whose normals, at seven points, turn over or nearly vanish at some."""
-    value, du, dv = (m @ nets for m in _seven(bernstein.degree_of(nets.shape[1])))
     with np.errstate(all="ignore"):
-        p = _affine(value)
-        # times the weight, which is of one sign, or the answer no matter
-        normal = np.cross(du[..., :3] - p * du[..., 3:], dv[..., :3] - p * dv[..., 3:])
+        # times the squares of weights, which are nearly equal, or the answer no matter
+        normal = _normals(_seven(bernstein.degree_of(nets.shape[1])), nets)[0]
         length = np.linalg.norm(normal, axis=2)
         most = normal[np.arange(len(nets)), length.argmax(axis=1)]
         inner = np.einsum("lpc,lc->lp", normal, most)
@@ -237,15 +246,23 @@ def _lattice(n: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
 def _singular(nets: np.ndarray) -> np.ndarray:
     """Return a mask of patches on which normals vanish, or turn over between two points."""
     matrices, pairs = _lattice(bernstein.degree_of(nets.shape[1]))
+    parts = [
+        _singular_on(matrices, pairs, nets[i : i + _CHUNK]) for i in range(0, len(nets), _CHUNK)
+    ]
+    return np.concatenate([np.zeros(0, dtype=bool), *parts])
+
+
+def _singular_on(
+    matrices: tuple[np.ndarray, ...], pairs: np.ndarray, nets: np.ndarray
+) -> np.ndarray:
     with np.errstate(all="ignore"):
-        value, du, dv = (m @ nets for m in matrices)
-        p, w = _affine(value), value[..., 3:]
-        normal = np.cross((du[..., :3] - p * du[..., 3:]) / w, (dv[..., :3] - p * dv[..., 3:]) / w)
+        normal, w = _normals(matrices, nets)
+        normal = normal / (w * w)[..., None]
         length = np.linalg.norm(normal, axis=2)
         regular = length.min(axis=1) >= _VANISHING * length.max(axis=1)
         a, b = normal[:, pairs[:, 0]], normal[:, pairs[:, 1]]
         regular &= ((a * b).sum(axis=2) > 0).all(axis=1)
-    return ~regular
+    return np.asarray(~regular)
 
 
 #: Normals of a leaf this much shorter than the longest, or turned over, tell that its patch is
