@@ -11,10 +11,10 @@ import numpy as np
 from .proper_nets import spans_area
 from .triangles import BezierTriangles
 
-__all__ = ["Segments", "contour_segments", "edge_segments", "open_edges"]
+__all__ = ["POINTS", "Segments", "contour_segments", "edge_segments", "open_edges"]
 
 #: Lattice points that all patches of a shape together are searched at, about.
-_POINTS = 40000
+POINTS = 40000
 #: Edges of patches in parameters: from where to where.
 _EDGES = np.array([[[1.0, 0], [0, 1]], [[0, 1], [0, 0]], [[0, 0], [1, 0]]])
 #: Distance, relative to the extent of a shape, within which edges are one.
@@ -78,7 +78,7 @@ def _lattice(r: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(nodes), np.array(triangles)
 
 
-def contour_segments(patches: BezierTriangles, eye: np.ndarray) -> Segments:
+def contour_segments(patches: BezierTriangles, eye: np.ndarray, points: float = POINTS) -> Segments:
     """Find the curves on which a surface is seen edge-on.
 
     The sign of the facing is taken on a lattice; a contour that lies between its points, a loop
@@ -90,13 +90,15 @@ def contour_segments(patches: BezierTriangles, eye: np.ndarray) -> Segments:
     patches : BezierTriangles
     eye : (3,) array
         The point of view.
+    points : float
+        At how many points of the lattice to look, about.
 
     Returns
     -------
     Segments
     """
     count = len(patches)
-    r = int(np.clip(np.sqrt(2 * _POINTS / count), 4, 48))
+    r = int(np.clip(np.sqrt(2 * points / count), 4, 48))
     nodes, triangles = _lattice(r)
     index = np.repeat(np.arange(count), len(nodes))
     values = _facing(patches, index, np.tile(nodes, (count, 1)), eye).reshape(count, -1)

@@ -20,7 +20,8 @@ __all__ = ["attached_tables", "is_attached"]
 
 def is_attached(shape: Any) -> bool:
     """Return whether derivatives by the parameters of a shape are wanted now."""
-    return bool(dr.grad_enabled(shape.control_points, shape.to_world, *shape.sag_parameters))
+    more = [*shape.sag_parameters, *(x for x in (shape.instance_maps,) if x is not None)]
+    return bool(dr.grad_enabled(shape.control_points, shape.to_world, *more))
 
 
 def attached_tables(tables: Any, shapes: list[Any]) -> Any:
@@ -64,7 +65,24 @@ def attached_tables(tables: Any, shapes: list[Any]) -> Any:
     if aspheres is not None:
         aspheres = aspheres.attached(shapes)
     nets = dr.replace_grad(tables.nets, nets)
-    return replace(tables, nets=nets, projections=projections, aspheres=aspheres)
+    places = _places(tables.places, shapes)
+    return replace(tables, nets=nets, projections=projections, aspheres=aspheres, places=places)
+
+
+def _places(places: Any, shapes: list[Any]) -> Any:
+    """Return the maps of instances with derivatives."""
+    moved = [s.instance_maps for s in shapes if s.instances is not None]
+    if places is None or not dr.grad_enabled(*moved):
+        return places
+    rows = mi.Float(dr.detach(places))
+    first = 0
+    for maps in moved:
+        index = dr.arange(mi.UInt32, dr.width(maps.array))
+        instance, row, column = index // 12, index % 12 // 4, index % 4
+        place = dr.select(column == 3, 9 + row, 3 * row + column)
+        dr.scatter(rows, maps.array, 16 * (first + instance) + place)
+        first += maps.shape[0]
+    return dr.replace_grad(places, rows)
 
 
 def _packed(shape: Any, tables: Any, first: int, degree: int | None, place: int) -> Any:

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.arrays import upload
-from .silhouette import Discrete, SilhouetteCurves, outward
+from .silhouette import Discrete, SilhouetteCurves, in_place, outward
 
 __all__ = ["BoundaryLines", "BoundarySample"]
 
@@ -36,11 +36,13 @@ class BoundarySample:
     index: Any = None  #: UInt, segment of an edge
     is_edge: Any = None  #: Bool
     valid: Any = None  #: Bool
+    instance: Any = None  #: UInt, 1 + the number of the instance; 0: the patch is where it is
 
     DRJIT_STRUCT = dict.fromkeys(
-        ("patch", "u", "v", "p", "d", "n", "along", "density", "pdf", "index", "is_edge", "valid"),
+        ("patch", "u", "v", "p", "d", "n", "along", "density", "pdf", "index", "is_edge", "valid",
+         "instance"),
         Any,
-    )
+    )  # fmt: skip
 
 
 class BoundaryLines:
@@ -57,6 +59,9 @@ class BoundaryLines:
         self.data = data
         self.numbers = numbers
         self.edges = SilhouetteCurves(data, numbers, None)
+        copies = [data.instance_numbers(k) for k in numbers]
+        table = np.array([(c.start, len(c)) for c in copies], dtype=np.uint32)
+        self.copies = upload(mi.UInt32, table) if data.instances is not None else None
         a, b = self.edges.ends()
         self.choice = Discrete(np.linalg.norm(b - a, axis=1)) if len(self.edges) else None
 
@@ -66,7 +71,7 @@ class BoundaryLines:
         return BoundarySample(
             patch, u, v, p, d, n, dr.zeros(mi.Vector3f, width), density,
             dr.zeros(mi.Float, width), dr.zeros(mi.UInt32, width),
-            dr.zeros(mi.Bool, width), dr.zeros(mi.Bool, width),
+            dr.zeros(mi.Bool, width), dr.zeros(mi.Bool, width), dr.zeros(mi.UInt32, width),
         )  # fmt: skip
 
     def sample(
@@ -96,24 +101,41 @@ class BoundaryLines:
         return out
 
     def _tangent(self, sample: Any, active: Any) -> BoundarySample:
-        sampling = self.data.surface_sampling(tuple(self.numbers))
+        sampling = self._sampling()
+        tables = self.data.tables
         scaled = sample.x * len(self.numbers)
         which = dr.minimum(mi.UInt32(scaled), len(self.numbers) - 1)
-        angle = dr.two_pi * (scaled - mi.Float(which))
+        first, count = self._copies(which, active)
+        scaled = (scaled - mi.Float(which)) * mi.Float(count)
+        copy = dr.minimum(mi.UInt32(scaled), count - 1)
+        angle = dr.two_pi * (scaled - mi.Float(copy))
+        copy += first
         patch, u, v, linear = sampling.sample_parameters(
             which, mi.Point2f(sample.y, sample.z), active
         )
-        ps = sampling.position(patch, u, v, linear, active)
-        frame = mi.Frame3f(ps.n)
+        place = tables.place(copy, active)
+        jet = tables.jet(patch, u, v, active, place)
+        frame = mi.Frame3f(tables.normal(jet, patch, u, v, active, place))
         sine, cosine = dr.sincos(angle)
         d = frame.s * cosine + frame.t * sine
-        tables = self.data.tables
-        h = tables.second(patch, u, v, active)
-        n, curvature = outward(h, d)
-        out = self.empty(patch, u, v, ps.p, d, n, curvature)
-        out.pdf = ps.pdf * dr.inv_two_pi / len(self.numbers)
-        out.valid = active & (ps.pdf > 0) & dr.isfinite(curvature) & (curvature > 0)
+        n, curvature = outward(in_place(tables.second(patch, u, v, active), place), d)
+        out = self.empty(patch, u, v, mi.Point3f(jet.p + jet.origin), d, n, curvature)
+        area = mi.Float(dr.norm(dr.cross(jet.pu, jet.pv)))
+        pdf = dr.select(active & (area > 0), linear / area, 0.0) / mi.Float(count)
+        out.pdf = pdf * dr.inv_two_pi / len(self.numbers)
+        out.valid = active & (pdf > 0) & dr.isfinite(curvature) & (curvature > 0)
+        out.instance = copy
         return out
+
+    def _sampling(self) -> Any:
+        return self.data.surface_sampling(tuple(self.numbers), instanced=True)
+
+    def _copies(self, which: Any, active: Any) -> tuple[Any, Any]:
+        """Return 1 + the first instance of shapes, or 0, and how many there are, or 1."""
+        if self.copies is None:
+            return mi.UInt32(0), mi.UInt32(1)
+        first, count = (dr.gather(mi.UInt32, self.copies, 2 * which + k, active) for k in (0, 1))
+        return first, dr.maximum(count, 1)
 
     def _edge(self, sample: Any, active: Any) -> BoundarySample:
         assert self.choice is not None
@@ -125,10 +147,10 @@ class BoundaryLines:
         point = self.edges.point(index, s, active)
         length = dr.norm(point.tangent)
         along = point.tangent / length
-        n = self.edges.edge_normal(d, point.patch, point.u, point.v, point.tangent, active)
+        n = self.edges.edge_normal(d, point, active)
         sine = dr.norm(dr.cross(d, along))
         out = self.empty(point.patch, point.u, point.v, point.p, d, n, sine)
-        out.along, out.index = along, index
+        out.along, out.index, out.instance = along, index, point.instance
         out.pdf = pmf / length / (4 * dr.pi)
         out.is_edge = dr.full(mi.Bool, True, dr.width(s))
         out.valid = active & point.valid & (length > 0) & (sine > 0)
@@ -181,13 +203,17 @@ class BoundaryLines:
 
     def invert(self, ss: Any, is_edge: Any, both: Any, active: Any) -> Any:
         """Return a point of the unit cube that `sample` maps to a `mi.SilhouetteSample3f`."""
-        sampling = self.data.surface_sampling(tuple(self.numbers))
+        sampling = self._sampling()
         tables = self.data.tables
         yz = sampling.invert(mi.UInt32(0), ss.prim_index, ss.uv, active & ~is_edge)
-        n = tables.point_and_normal(ss.prim_index, ss.uv.x, ss.uv.y, active)[1]
+        place = tables.place(ss.scene_index, active)
+        jet = tables.jet(ss.prim_index, ss.uv.x, ss.uv.y, active, place)
+        n = tables.normal(jet, ss.prim_index, ss.uv.x, ss.uv.y, active, place)
         local = mi.Frame3f(n).to_local(ss.d)
         angle = dr.atan2(local.y, local.x) * dr.inv_two_pi
         x = dr.select(angle < 0, angle + 1, angle)
+        first, count = self._copies(mi.UInt32(0), active)
+        x = (x + mi.Float(ss.scene_index - first)) / mi.Float(count)
         if self.choice is not None:
             edge = active & is_edge
             index = ss.projection_index

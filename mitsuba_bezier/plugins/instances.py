@@ -15,7 +15,7 @@ from ..kernels.query import Hit
 from ..kernels.structure import build_structure
 from ..leaves.records import Leaves
 
-__all__ = ["InstanceTables", "read_instances"]
+__all__ = ["InstanceTables", "check_instances", "placed_by", "read_instances"]
 
 
 def read_instances(props: mi.Properties) -> np.ndarray | None:
@@ -43,9 +43,14 @@ def read_instances(props: mi.Properties) -> np.ndarray | None:
         values = np.array(value, dtype=np.float64).reshape(value.shape)
     else:
         raise BezierError.expected("instances", "a tensor of shape (N, 3, 4) or (N, 4, 4)", value)
+    return check_instances(has[0], values)
+
+
+def check_instances(name: str, values: np.ndarray) -> np.ndarray:
+    """Return the maps ``(N, 4, 4)`` of a parameter; raise `BezierError` if they are none."""
     if values.ndim != 3 or values.shape[1:] not in ((3, 4), (4, 4)) or len(values) == 0:
         raise BezierError.expected(
-            has[0], "at least one map, of shape (N, 3, 4) or (N, 4, 4)", f"shape {values.shape}"
+            name, "at least one map, of shape (N, 3, 4) or (N, 4, 4)", f"shape {values.shape}"
         )
     matrices = np.broadcast_to(np.eye(4), (len(values), 4, 4)).copy()
     matrices[:, : values.shape[1]] = values
@@ -55,7 +60,7 @@ def read_instances(props: mi.Properties) -> np.ndarray | None:
     if bad.any():
         k = int(np.flatnonzero(bad)[0])
         raise BezierError.expected(
-            has[0], "finite, regular, affine maps", f"map {k}: {matrices[k].tolist()}"
+            name, "finite, regular, affine maps", f"map {k}: {matrices[k].tolist()}"
         )
     return matrices
 
@@ -95,6 +100,8 @@ class InstanceTables:
         boxes = np.concatenate([s.state.instance_boxes for s in shapes])
         structure = build_structure(leaves, mi.Float, trims, objects, len(shapes))
         self.kernel = build_instances(structure, boxes, which, matrices, mi.Float)
+        #: Maps from object to space, in float64.
+        self.maps = matrices
         rows = np.zeros((len(matrices), 16), dtype=np.float32)
         rows[:, :9] = matrices[:, :3, :3].reshape(-1, 9)
         rows[:, 9:12] = matrices[:, :3, 3]
@@ -109,19 +116,22 @@ class InstanceTables:
         """Return the hit, and the number of the copy."""
         return intersect_instances(self.kernel, o, d, t_max, active, any_hit)
 
-    def place(self, hit: Any, active: Any) -> tuple[Any, Any]:
-        """Return the maps of hits, `mi.Matrix3d` and the translation `mi.Vector3d`.
 
-        Parameters
-        ----------
-        hit : Preliminary
-            Its ``pi.shape_index`` is 1 + the number of the instance; 0 stands for none.
-        active : Bool
-        """
-        placed = hit.bezier & (hit.pi.shape_index != 0) & active
-        instance = dr.select(placed, hit.pi.shape_index - 1, 0)
-        rows = gather_packets(self.matrices, instance, 15, placed)
-        a = mi.Matrix3d(*(mi.Float64(x) for x in rows[:9]))
-        # float32 numbers and what they are off: a translation may be long
-        b = mi.Vector3d(*(mi.Float64(rows[9 + k]) + mi.Float64(rows[12 + k]) for k in range(3)))
-        return dr.select(placed, a, dr.identity(mi.Matrix3d)), b
+def placed_by(matrices: Any, number: Any, active: Any) -> tuple[Any, Any]:
+    """Return maps, `mi.Matrix3d` and the translation `mi.Vector3d`.
+
+    Parameters
+    ----------
+    matrices : Float
+        Those of `InstanceTables`.
+    number : UInt
+        1 + the number of the instance; 0 stands for none.
+    active : Bool
+    """
+    placed = (number != 0) & active
+    instance = dr.select(placed, number - 1, 0)
+    rows = gather_packets(matrices, instance, 15, placed)
+    a = mi.Matrix3d(*(mi.Float64(x) for x in rows[:9]))
+    # float32 numbers and what they are off: a translation may be long
+    b = mi.Vector3d(*(mi.Float64(rows[9 + k]) + mi.Float64(rows[12 + k]) for k in range(3)))
+    return dr.select(placed, a, dr.identity(mi.Matrix3d)), b

@@ -11,11 +11,20 @@ import mitsuba as mi
 from ..kernels.curvature import affine_second_partials
 from ..kernels.patch import affine_partials
 from ..kernels.patch_nets import Layout
+from .instances import placed_by
 from .offsets import position_error
 
 _XYZ = range(3)
 
-__all__ = ["Met", "PatchTables", "Preliminary", "meet", "shading_frame", "surface_interaction"]
+__all__ = [
+    "Met",
+    "PatchTables",
+    "Preliminary",
+    "meet",
+    "placed",
+    "shading_frame",
+    "surface_interaction",
+]
 
 #: Sine between dp_du and dp_dv, squared, below which float32 cannot tell a normal any more.
 _FLAT = 1e-10
@@ -152,6 +161,7 @@ class PatchTables:
     texcoords: Any = None  #: Float, six a patch (uv at A, B, C), or None: uv is (u, v)
     projections: Any = None  #: Projections, or None: no shape has one
     aspheres: Any = None  #: AsphereTables, or None: there is no asphere
+    places: Any = None  #: Float, `InstanceTables.matrices`, or None: nothing has instances
 
     def origin(self, patch: Any, active: Any) -> Any:
         """Return the origins of patches, `mi.Point3f`."""
@@ -173,7 +183,12 @@ class PatchTables:
     @property
     def sources(self) -> list[Any]:
         """What may carry derivatives by the shapes."""
-        return [self.nets] if self.aspheres is None else [self.nets, self.aspheres.values]
+        more = [] if self.aspheres is None else [self.aspheres.values]
+        return [self.nets, *more] if self.places is None else [self.nets, *more, self.places]
+
+    def place(self, number: Any, active: Any) -> tuple[Any, Any] | None:
+        """Return the maps of instances, see `placed_by`; None where nothing has any."""
+        return None if self.places is None else placed_by(self.places, number, active)
 
     def jet(self, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Jet:
         """Return points and partials.
@@ -186,16 +201,18 @@ class PatchTables:
         h = self.second(patch, mi.Float64(u), mi.Float64(v), active)
         origin = mi.Vector3d(self.origin(patch, active))
         if place is not None:
-            h = _placed(h, place[0])
+            h = placed(h, place[0])
             origin = place[0] @ origin + place[1]
         p, pu, pv = (mi.Vector3d(*x) for x in affine_partials(*h[:3]))
         rounded = [[mi.Float(a) for a in x] for x in h]
         second = affine_second_partials(rounded)[3:]
         return Jet(origin, p, pu, pv, *(mi.Vector3f(*x) for x in second))
 
-    def partials(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
+    def partials(
+        self, patch: Any, u: Any, v: Any, active: Any, place: Any = None
+    ) -> tuple[Any, Any, Any]:
         """Return the point and its first partials by the parameters."""
-        jet = self.jet(patch, u, v, active)
+        jet = self.jet(patch, u, v, active, place)
         return mi.Point3f(jet.p + jet.origin), mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
 
     def normal(self, jet: Jet, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Any:
@@ -245,7 +262,7 @@ class PatchTables:
             active,
         )
         if place is not None:
-            h = _placed(h, mi.Matrix3f(place[0]))
+            h = placed(h, mi.Matrix3f(place[0]))
         a, b, aa, ab, bb = (mi.Vector3f(*x) for x in affine_second_partials(h)[1:])
         n = dr.cross(a, b)
         inv = dr.rsqrt(dr.squared_norm(n))
@@ -280,7 +297,7 @@ class PatchTables:
         number = dr.gather(mi.UInt32, self.shape_of, patch, active)
         sign = dr.gather(mi.Float, self.orientation, number, active)
         # a mirror image keeps its outside out
-        return sign if place is None else dr.mulsign(sign, mi.Float(dr.det(place[0])))
+        return sign if place is None else dr.mulsign(sign, mi.Float(dr.det(dr.detach(place[0]))))
 
     def texture(self, patch: Any, u: Any, v: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return the texture coordinates and their constant partials by the parameters."""
@@ -320,7 +337,7 @@ class PatchTables:
         return dr.select(dr.squared_norm(inner) > 0, limit, mi.Vector3d(0, 0, 1))
 
 
-def _placed(h: list[list[Any]], a: Any) -> list[list[Any]]:
+def placed(h: list[list[Any]], a: Any) -> list[list[Any]]:
     """Return homogeneous points and partials under linear maps."""
     vector = mi.Vector3d if type(h[0][0]) is mi.Float64 else mi.Vector3f
     return [[*(a @ vector(*x[:3])), x[3]] for x in h]
@@ -367,32 +384,29 @@ def shading_frame(n: Any, dp_du: Any) -> Any:
 
 
 def surface_interaction(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, instances: Any = None
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any
 ) -> Any:
     """Return the `mi.SurfaceInteraction3f` of `meet`."""
-    return meet(tables, hit, ray, flags, active, instances).si
+    return meet(tables, hit, ray, flags, active).si
 
 
-def meet(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any, instances: Any = None
-) -> Met:
+def meet(tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, active: Any) -> Met:
     """Return the interaction of hits on patches, and the error of its point; invalid elsewhere.
 
     All fields are those of Mitsuba's own shapes. ``dn_du``, ``dn_dv`` are computed on request
     (`mi.RayFlags.dNGdUV` or `dNSdUV`: the shading normal is the true one). Partials are by the
     texture coordinates `uv`. Where the nets or the ray carry derivatives, so do all fields: along
-    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters. `instances`
-    (`InstanceTables`) tell where patches are that have some.
+    the ray, or with `mi.RayFlags.FollowShape` at fixed parameters.
     """
     ours = hit.bezier & mi.Bool(active)
     if dr.grad_enabled(*tables.sources, ray):  # Dr.Jit does not differentiate what a branch gathers
-        return Met(*_interaction(tables, hit, ray, flags, ours, instances))
+        return Met(*_interaction(tables, hit, ray, flags, ours))
     # a gather costs a packet the same for one ray as for all: none where no ray hits a patch
     return Met(
         *dr.if_stmt(
             args=(hit, ray, ours),
             cond=ours,
-            true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours, instances),
+            true_fn=lambda hit, ray, ours: _interaction(tables, hit, ray, flags, ours),
             false_fn=lambda _hit, ray, _ours: _no_interaction(ray),
             label="bezier interaction",
         )
@@ -409,13 +423,13 @@ def _no_interaction(ray: Any) -> tuple[Any, Any]:
 
 
 def _interaction(
-    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any, instances: Any
+    tables: PatchTables, hit: Preliminary, ray: Any, flags: Any, ours: Any
 ) -> tuple[Any, Any]:
     """Return the interactions of the hits `ours`; see `meet`."""
     pi = hit.pi
     u, v, t = pi.prim_uv.x, pi.prim_uv.y, pi.t
     follows_shape = mi.has_flag(flags, mi.RayFlags.FollowShape)
-    place = None if instances is None else instances.place(hit, ours)
+    place = tables.place(hit.pi.shape_index, ours)
     jet = tables.jet(hit.patch, u, v, ours, place)
     du, dv, dt, small = jet.step_to(ray, t, ours)
     # The hit point is the patch's, not o + t d. But (u, v) are float32 numbers too, and where

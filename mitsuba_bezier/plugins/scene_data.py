@@ -124,6 +124,7 @@ class SceneData:
             texcoords=_texcoords(shapes),
             projections=Projections.of(shapes),
             aspheres=AsphereTables.of(shapes, [origin for _net, origin in nets]),
+            places=None if self.instances is None else self.instances.matrices,
         )
         if scene is not None:
             pointers = scene.shapes_dr()
@@ -276,7 +277,7 @@ class SceneData:
         tables = self.tables
         if not mi.has_flag(flags, mi.RayFlags.DetachShape):
             tables = self.attached or attached_tables(tables, self.shapes)
-        return meet(tables, hit, ray, flags, active, self.instances)
+        return meet(tables, hit, ray, flags, active)
 
     @contextmanager
     def attach(self, mode: Any) -> Iterator[None]:
@@ -300,8 +301,13 @@ class SceneData:
                 if aspheres is not None:
                     aspheres = replace(aspheres, values=_brought(aspheres.values))
                 nets = _brought(self.attached.nets)
+                places = self.attached.places
                 self.attached = replace(
-                    self.tables, nets=nets, projections=projections, aspheres=aspheres
+                    self.tables,
+                    nets=nets,
+                    projections=projections,
+                    aspheres=aspheres,
+                    places=None if places is None else _brought(places),
                 )
         try:
             yield
@@ -309,12 +315,12 @@ class SceneData:
             self.attached = None
 
     def surface_sampling(
-        self, numbers: tuple[int, ...], by_emission: bool = False
+        self, numbers: tuple[int, ...], by_emission: bool = False, instanced: bool = False
     ) -> SurfaceSampling:
-        """Return the sampling of these shapes, made at its first use."""
-        key = (by_emission, *numbers)
+        """Return the sampling of these shapes, made at its first use; see `SurfaceSampling`."""
+        key = (by_emission, instanced, *numbers)
         if key not in self._sampling:
-            self._sampling[key] = SurfaceSampling(self, list(numbers), by_emission)
+            self._sampling[key] = SurfaceSampling(self, list(numbers), by_emission, instanced)
             self._show()
         return self._sampling[key]
 
@@ -332,6 +338,12 @@ class SceneData:
             self._made[name] = make()
             self._show()
         return self._made[name]
+
+    def instance_numbers(self, number: int) -> range:
+        """Return 1 + the numbers of the instances of a shape, in all of `instances`; 0 for none."""
+        counts = [0 if s.instances is None else len(s.instances) for s in self.shapes]
+        first = 1 + sum(counts[:number])
+        return range(first, first + counts[number]) if counts[number] else range(1)
 
     def open_edges(self) -> Any:
         """Return for each patch which edges have no neighbour in their shape.

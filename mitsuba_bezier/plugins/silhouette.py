@@ -10,11 +10,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError
-from ..geometry.contours import Segments, contour_segments, edge_segments
+from ..geometry.contours import POINTS, Segments, contour_segments, edge_segments
 from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials
+from .interaction import placed
 
-__all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "outward"]
+__all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "in_place", "outward"]
 
 #: Newton steps to the contour: from a chord over a cell three give float32.
 _STEPS = 4
@@ -32,6 +33,7 @@ class SilhouettePoint:
     n: Any  #: Vector3f, unit, across the curve and the direction of view, away from the surface
     is_edge: Any  #: Bool
     valid: Any  #: Bool
+    instance: Any  #: UInt, 1 + the number of the instance; 0: the patch is where it is
 
 
 class Discrete:
@@ -107,29 +109,37 @@ class SilhouetteCurves:
     Raises
     ------
     BezierError
-        If a shape has instances, is trimmed or an asphere: their outlines are not known here.
+        If a shape is trimmed or an asphere: their outlines are not known here.
     """
 
     def __init__(self, data: Any, numbers: list[int], eye: np.ndarray | None) -> None:
         self.data = data
+        self.view = eye
         self.eye = None if eye is None else mi.Point3f(*(dr.opaque(mi.Float, x) for x in eye))
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
-        parts = []
+        parts, copies = [], []
         for number in numbers:
             shape = data.shapes[number]
-            for what in ("instances", "trims", "asphere"):
+            for what in ("trims", "asphere"):
                 if getattr(shape, what) is not None:
                     raise BezierError.expected(
                         f'shape "{shape.id()}"', f"no {what} where silhouettes are asked for", what
                     )
-            patches = shape.patches
-            found = [edge_segments(patches)]
-            if eye is not None:
-                found.append(contour_segments(patches, eye))
-            for part in found:
-                part.patch = part.patch + firsts[number]
-                parts.append(part)
+            edges = edge_segments(shape.patches)
+            edges.patch = edges.patch + firsts[number]
+            maps = data.instance_numbers(number)
+            for copy in maps:
+                found = [edges]
+                if eye is not None:
+                    # the lattices of many instances are coarser, each of which is small
+                    effort = POINTS / np.sqrt(len(maps))
+                    found.append(contour_segments(shape.patches, self._local(copy), effort))
+                    found[1].patch = found[1].patch + firsts[number]
+                parts += found
+                copies += [np.full(sum(map(len, found)), copy)]
         self.segments = Segments.join(parts)
+        #: 1 + the number of the instance of each segment, or 0.
+        self.copy_of = np.concatenate(copies)
         self.shape_of = np.searchsorted(firsts, self.segments.patch, side="right") - 1
         self.firsts = firsts
         rows = np.concatenate([self.segments.a, self.segments.b], axis=1)
@@ -138,6 +148,21 @@ class SilhouetteCurves:
         flag = self.segments.is_edge if len(rows) else np.zeros(1)
         self.patch = upload(mi.UInt32, whose.astype(np.uint32))
         self.edge = upload(mi.UInt32, flag.astype(np.uint32))
+        self.copies: Any = None
+        if data.instances is not None:
+            copy_of = self.copy_of if len(rows) else np.zeros(1)
+            self.copies = upload(mi.UInt32, copy_of.astype(np.uint32))
+            if eye is not None:
+                eyes = [self._local(copy) for copy in range(len(data.instances.maps) + 1)]
+                self.eyes = upload(mi.Float, np.array(eyes))
+
+    def _local(self, copy: int) -> np.ndarray:
+        """Return the point of view as an instance has it."""
+        assert self.view is not None
+        if copy == 0:
+            return self.view
+        matrix = self.data.instances.maps[copy - 1]
+        return np.linalg.solve(matrix[:3, :3], self.view - matrix[:3, 3])
 
     def __len__(self) -> int:
         return len(self.segments)
@@ -151,6 +176,11 @@ class SilhouetteCurves:
             patches = self.data.shapes[number].patches
             out[0, mine] = patches.points(patch, self.segments.a[mine])
             out[1, mine] = patches.points(patch, self.segments.b[mine])
+        placed = self.copy_of > 0
+        if placed.any():
+            maps = self.data.instances.maps[self.copy_of[placed] - 1]
+            turned = np.einsum("nij,knj->kni", maps[:, :3, :3], out[:, placed])
+            out[:, placed] = turned + maps[:, :3, 3]
         return out[0], out[1]
 
     def point(self, index: Any, s: Any, active: Any) -> SilhouettePoint:
@@ -159,6 +189,7 @@ class SilhouetteCurves:
         row = [dr.gather(mi.Float, self.rows, 4 * index + k, active) for k in range(4)]
         patch = dr.gather(mi.UInt32, self.patch, index, active)
         is_edge = dr.gather(mi.UInt32, self.edge, index, active) == 1
+        copy, place = self._place(index, active)
         a, chord = mi.Point2f(row[0], row[1]), mi.Vector2f(row[2] - row[0], row[3] - row[1])
         across = mi.Vector2f(-chord.y, chord.x)
         foot = a + s * chord
@@ -166,8 +197,12 @@ class SilhouetteCurves:
             h = tables.second(patch, foot.x, foot.y, active)
             eye, q, dq = mi.Point3f(0.0), foot, chord
         else:
-            eye = self.eye
-            near = tables.relative(eye, patch, active)
+            eye = local = self.eye
+            if self.copies is not None:
+                local = mi.Point3f(
+                    *(dr.gather(mi.Float, self.eyes, 3 * copy + k, active) for k in range(3))
+                )
+            near = tables.relative(local, patch, active)
 
             def newton(k: Any, height: Any) -> tuple[Any, ...]:
                 q = foot + height * across
@@ -189,18 +224,32 @@ class SilhouetteCurves:
             along = fu * chord.x + fv * chord.y
             slope = fu * across.x + fv * across.y
             dq = chord - dr.select(is_edge | (slope == 0), 0.0, along / slope) * across
-        p, pu, pv = tables.partials(patch, q.x, q.y, active)
+        p, pu, pv = tables.partials(patch, q.x, q.y, active, place)
         tangent = pu * dq.x + pv * dq.y
         d = dr.normalize(p - eye)
-        n, _curvature = outward(h, d)
+        n, _curvature = outward(in_place(h, place), d)
         n = dr.select(is_edge, _edge_normal(d, tangent, pu, pv, q), n)
         valid = active & dr.isfinite(dr.squared_norm(n)) & dr.isfinite(dr.squared_norm(tangent))
-        return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid)
+        return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid, copy)
 
-    def edge_normal(self, d: Any, patch: Any, u: Any, v: Any, tangent: Any, active: Any) -> Any:
+    def _place(self, index: Any, active: Any) -> tuple[Any, Any]:
+        """Return the numbers of the instances of segments, and where these are."""
+        if self.copies is None:
+            return dr.zeros(mi.UInt32, dr.width(index)), None
+        copy = dr.gather(mi.UInt32, self.copies, index, active)
+        return copy, self.data.tables.place(copy, active)
+
+    def edge_normal(self, d: Any, point: SilhouettePoint, active: Any) -> Any:
         """Return the unit normal of an edge and the direction `d`, away from the patch."""
-        _p, pu, pv = self.data.tables.partials(patch, u, v, active)
-        return _edge_normal(d, tangent, pu, pv, mi.Point2f(u, v))
+        tables = self.data.tables
+        place = tables.place(point.instance, active)
+        _p, pu, pv = tables.partials(point.patch, point.u, point.v, active, place)
+        return _edge_normal(d, point.tangent, pu, pv, mi.Point2f(point.u, point.v))
+
+
+def in_place(h: list[list[Any]], place: Any) -> list[list[Any]]:
+    """Return points and partials of `kernels.curvature.evaluate_second` under maps of instances."""
+    return h if place is None else placed(h, mi.Matrix3f(place[0]))
 
 
 def _edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:

@@ -177,6 +177,8 @@ class SurfaceSampling:
     by_emission : bool
         Sample shapes with a textured emitter also in proportion to what the parts of their
         surface emit (when this is made: later changes of a texture do no harm but to the noise).
+    instanced : bool
+        Allow shapes with instances, which are sampled before the maps of these.
 
     Raises
     ------
@@ -184,7 +186,9 @@ class SurfaceSampling:
         If a shape has no finite area.
     """
 
-    def __init__(self, data: Any, numbers: list[int], by_emission: bool = False) -> None:
+    def __init__(
+        self, data: Any, numbers: list[int], by_emission: bool = False, instanced: bool = False
+    ) -> None:
         self.data = data
         self.numbers = numbers
         cdf, corners, rows = [], [], []
@@ -192,7 +196,7 @@ class SurfaceSampling:
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
         for number in numbers:
             shape = data.shapes[number]
-            if shape.instances is not None:
+            if shape.instances is not None and not instanced:
                 raise GeometryError.expected(
                     f'shape "{shape.id()}"', "one without instances to sample", "instances"
                 )

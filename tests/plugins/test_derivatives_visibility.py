@@ -197,15 +197,6 @@ def test_bad_parameters(name, parameters, message):
         mi.load_dict({"type": name, **parameters})
 
 
-def test_instances_have_no_outlines():
-    maps = mi.TensorXf(np.eye(4, dtype=np.float32)[None].repeat(2, axis=0))
-    shape = mi.load_dict(bezier(BENT, instances=maps))
-    with pytest.raises(
-        mb.BezierError, match="expected no instances where silhouettes are asked for"
-    ):
-        shape.precompute_silhouette(mi.ScalarPoint3f(0, 0, 5))
-
-
 def test_only_perspective_cameras():
     scene = mi.load_dict(
         {

@@ -64,7 +64,8 @@ def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: An
         active = active & dr.any(value != 0)
 
     tables = attached_tables(data.tables, data.shapes)
-    p, _pu, _pv = tables.partials(boundary.patch, boundary.u, boundary.v, active)
+    place = tables.place(boundary.instance, active)
+    p, _pu, _pv = tables.partials(boundary.patch, boundary.u, boundary.v, active, place)
     moving = dr.select(active, dr.dot(p, boundary.n), 0.0)
     value = dr.select(active, value, 0.0) * dr.replace_grad(mi.Float(0), moving)
 

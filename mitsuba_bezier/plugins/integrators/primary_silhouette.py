@@ -131,7 +131,8 @@ def primary_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: Any
         scale = dr.select(active, dr.rcp(pmf * count), 0.0)
 
     tables = attached_tables(data.tables, data.shapes)
-    p, _pu, _pv = tables.partials(point.patch, point.u, point.v, active)
+    place = tables.place(point.instance, active)
+    p, _pu, _pv = tables.partials(point.patch, point.u, point.v, active, place)
     moving, _seen = camera.position(dr.select(active, p, point.p))
     motion = dr.replace_grad(mi.Float(0), dr.dot(moving, across))
     value = difference * dr.select(active, motion * scale, 0.0)
@@ -183,6 +184,7 @@ def surface_at(
     hit.pi.valid, hit.pi.t = mi.Bool(active), distance
     hit.pi.prim_uv = mi.Point2f(point.u, point.v)
     hit.pi.shape, hit.pi.prim_index = data.owner(point.patch, active)
+    hit.pi.shape_index = point.instance
     return out, hit
 
 

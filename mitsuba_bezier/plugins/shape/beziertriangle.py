@@ -14,7 +14,7 @@ from ...geometry.aspheres import EvenAsphere
 from ...geometry.proper_nets import spans_area
 from ...geometry.triangles import BezierTriangles
 from ...geometry.trims import Trims
-from ..instances import read_instances
+from ..instances import check_instances, read_instances
 from ..native.sensors import watch
 from ..projections import read_projection
 from ..section import read_section
@@ -68,7 +68,8 @@ def make_shape_class() -> type:
            - |tensor|
            - Affine maps of shape ``(N, 3, 4)`` or ``(N, 4, 4)``: the surface appears `N` times,
              each map applied after `to_world`, and takes the memory of one (Default: once, as it
-             is). Shapes with instances cannot carry an emitter.
+             is, |exposed| as ``(N, 3, 4)``, |differentiable|, |discontinuous|). Shapes with
+             instances cannot carry an emitter.
          * - instances_filename
            - |string|
            - A ``.npy`` file of these maps instead, or a text file with twelve numbers a line.
@@ -162,6 +163,8 @@ def make_shape_class() -> type:
             self.state = self._state(patches, matrix, flip, trims, instances)
             self.control_points = _tensor(self.state.exposed)
             self.to_world = mi.Transform4f(mi.Matrix4f(matrix.tolist()))
+            #: Maps of instances (N, 3, 4) as users see them, or None.
+            self.instance_maps: Any = None if instances is None else _tensor(instances[:, :3])
             #: Texture coordinates at the corners (P, 3, 2), or None.
             self.texture_corners = texcoords
             self.texcoords = None if texcoords is None else _tensor(texcoords)
@@ -253,6 +256,8 @@ def make_shape_class() -> type:
             edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
             cb.put("control_points", self.control_points, edges)
             cb.put("to_world", self.to_world, edges)
+            if self.instance_maps is not None:
+                cb.put("instances", self.instance_maps, edges)
             if self.texcoords is not None:
                 cb.put("texcoords", self.texcoords, mi.ParamFlags.NonDifferentiable)
             for name, (values, _texture) in self._attributes.items():
@@ -271,7 +276,7 @@ def make_shape_class() -> type:
                     cb.put(name, child, mi.ParamFlags.Differentiable)
 
         def _changed(self, keys: Any) -> None:
-            own = {"control_points", "to_world", "texcoords"}
+            own = {"control_points", "to_world", "instances", "texcoords"}
             if keys and not (own | set(self._attributes)) & set(keys):
                 return
             tensor = self.control_points
@@ -279,6 +284,7 @@ def make_shape_class() -> type:
             try:
                 patches, matrix, exposed = self.state.changed(values, read_affine(self.to_world))
                 self._need_area(patches)
+                instances = self._changed_instances()
                 count = len(patches)
                 corners = self.texture_corners
                 if self.texcoords is not None:
@@ -297,14 +303,28 @@ def make_shape_class() -> type:
             self.texture_corners = corners
             self.state.exposed = exposed
             if not keys or own & set(keys):
+                self.state.instances = instances
                 self.state.place(patches, matrix)
                 self._commit()
+
+        def _changed_instances(self) -> np.ndarray | None:
+            """Return the maps of instances that the parameter stands for, checked."""
+            old = self.state.instances
+            if old is None:
+                return None
+            values = np.array(self.instance_maps, dtype=np.float64)
+            maps = check_instances("instances", values.reshape(self.instance_maps.shape))
+            # float64 numbers stay as long as nobody changed what float32 shows of them
+            same = np.array_equal(maps[:, :3].astype(np.float32), old[:, :3].astype(np.float32))
+            return old if same else maps
 
         def _restore(self) -> None:
             """Give all parameters their last valid values, in the objects that users hold."""
             matrix = mi.Matrix4f(self.state.object_to_world.tolist())
             mi.set_property(self.control_points, _tensor(self.state.exposed))
             mi.set_property(self.to_world, mi.Transform4f(matrix))
+            if self.instances is not None:
+                mi.set_property(self.instance_maps, _tensor(self.instances[:, :3]))
             if self.texture_corners is not None:
                 mi.set_property(self.texcoords, _tensor(self.texture_corners))
             for values, texture in self._attributes.values():

@@ -3,7 +3,8 @@
 Samples are `mi.SilhouetteSample3f`. Their ``uv`` are the parameters in the patch ``prim_index``,
 whatever texture coordinates the shape has; ``n`` points away from the surface, across ``d`` and
 the curve, also where the normal of the surface points the other way; ``projection_index`` is the
-segment of an edge. Shapes that have instances or are trimmed raise `BezierError`.
+segment of an edge, ``scene_index`` 1 + the number of the instance, or 0. Trimmed shapes raise
+`BezierError`, and those with instances where an interaction does not tell the instance.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...errors import BezierError
 from ..attached import attached_tables
 from ..boundary_lines import BoundaryLines
 from ..silhouette import SilhouetteCurves, facing, outward
@@ -36,6 +38,7 @@ def _sample(shape: Any, line: Any, flags: int) -> Any:
     ss.p, ss.n, ss.d, ss.uv = line.p, mi.Normal3f(line.n), line.d, mi.Point2f(line.u, line.v)
     ss.silhouette_d = dr.select(line.is_edge, line.along, dr.cross(line.d, line.n))
     ss.prim_index, ss.projection_index = line.patch, line.index
+    ss.scene_index = line.instance
     ss.pdf = dr.select(line.valid, line.pdf, 0)
     ss.foreshortening = line.density
     kind = dr.select(
@@ -151,7 +154,7 @@ def sample_precomputed_silhouette(
     ss.p, ss.n, ss.uv = point.p, mi.Normal3f(point.n), mi.Point2f(point.u, point.v)
     ss.d = dr.normalize(point.p - curves.eye)
     ss.silhouette_d = point.tangent / length
-    ss.prim_index = point.patch
+    ss.prim_index, ss.scene_index = point.patch, point.instance
     kind = dr.select(
         point.is_edge, mi.UInt32(kinds.PerimeterType.value), mi.UInt32(kinds.InteriorType.value)
     )
@@ -188,6 +191,7 @@ def primitive_silhouette_projection(
     -------
     mi.SilhouetteSample3f
     """
+    _need_one(shape)
     interior, _perimeter = _kinds(flags)
     lines = _lines(shape)
     active = mi.Bool(active)
@@ -225,6 +229,14 @@ def primitive_silhouette_projection(
     return _sample(shape, line, int(getattr(flags, "value", flags)))
 
 
+def _need_one(shape: Any) -> None:
+    """Refuse instances: an interaction does not tell which of them it is on."""
+    if shape.instances is not None:
+        raise BezierError.expected(
+            f'shape "{shape.id()}"', "no instances where an interaction is to tell one", "instances"
+        )
+
+
 def _parameters(shape: Any, si: Any, active: Any) -> tuple[Any, Any]:
     """Return the parameters of an interaction: `si.uv` unless the shape has a texture's."""
     tables = shape._alone().tables
@@ -240,6 +252,7 @@ def _parameters(shape: Any, si: Any, active: Any) -> tuple[Any, Any]:
 
 def differential_motion(shape: Any, si: Any, active: Any = True) -> Any:
     """Return the point of an interaction, at fixed parameters of its patch, as it moves."""
+    _need_one(shape)
     u, v = _parameters(shape, si, active)
     data = shape._alone()
     tables = attached_tables(data.tables, data.shapes)

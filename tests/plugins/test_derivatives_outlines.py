@@ -1,0 +1,192 @@
+"""Derivatives of outlines of instances, against central differences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from backend_cases import VARIANT
+from derivative_cases import BENT, film, inner, weights
+from mitsuba_cases import bezier, tensor
+
+import mitsuba_bezier as mb
+
+BALL = mb.sphere(cover="octants").control_points
+SIDE = 8
+
+
+@pytest.fixture(scope="module", autouse=True)
+def variant() -> None:
+    mi.set_variant(VARIANT)
+
+
+def in_view(surface: dict[str, Any]) -> Any:
+    """A surface before a bright backdrop: its outlines are in the image."""
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "camera": {
+                "type": "perspective",
+                "fov": 40,
+                "to_world": mi.ScalarTransform4f().look_at([0.3, 0.4, 5], [0, 0, 0], [0, 1, 0]),
+                **film(SIDE),
+            },
+            "surface": {**surface, "bsdf": {"type": "twosided", "one": {"type": "diffuse"}}},
+            "point": {"type": "point", "position": [1, 3, 4.0], "intensity": 20.0},
+            "back": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, -3]).scale(6),
+                "bsdf": {"type": "diffuse", "reflectance": 0.0},
+                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [0.2, 0.5, 1]}},
+            },
+        }
+    )
+
+
+def with_shadow(surface: dict[str, Any]) -> Any:
+    """A surface above a floor: the camera sees its soft shadow only."""
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "camera": {
+                "type": "perspective",
+                "fov": 40,
+                "to_world": mi.ScalarTransform4f().look_at([0, -6, 3], [0, 0, 0], [0, 0, 1]),
+                **film(4),
+            },
+            "surface": {**surface, "to_world": mi.ScalarTransform4f().translate([0, 0, 4])},
+            "lamp": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().look_at([0.5, 0, 8], [0, 0, 0], [0, 1, 0]),
+                "emitter": {"type": "area", "radiance": 10.0},
+            },
+            "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(10)},
+        }
+    )
+
+
+def attached(params: Any, keys: list[str]) -> None:
+    for key in keys:
+        dr.enable_grad(params[key])
+    params.update()
+
+
+def derivatives(integrator: Any, scene: Any, keys: list[str], w: Any, spp: int) -> list[np.ndarray]:
+    """Return the derivatives of the loss by parameters, in reverse mode."""
+    params = mi.traverse(scene)
+    attached(params, keys)
+    integrator.render_backward(scene, None, mi.TensorXf(w), seed=1, spp=spp)
+    return [np.array(dr.grad(params[key])).reshape(params[key].shape) for key in keys]
+
+
+def central(scene: Any, key: str, change: np.ndarray, w: Any, spp: int, e: float) -> float:
+    """Return the central difference of the loss along a change of a parameter."""
+    path = mi.load_dict({"type": "bezierpath", "max_depth": 2})
+    params = mi.traverse(scene)
+    values = np.array(dr.detach(params[key])).reshape(params[key].shape)
+    out = []
+    for sign in (1, -1):
+        params[key] = tensor(values + sign * e * change)
+        params.update()
+        out.append(inner(mi.render(scene, integrator=path, spp=spp, seed=1), w))
+    params[key] = tensor(values)
+    params.update()
+    return (out[0] - out[1]) / (2 * e)
+
+
+# ---------------------------------------------------------------- instances
+
+#: Two instances, the second one sheared.
+MAPS = np.array([[[0.6, 0, 0, -0.9], [0, 0.6, 0, 0.3], [0, 0, 0.6, 0]],
+                 [[0.6, 0.0, 0, 0.8], [0.3, 0.6, 0, -0.2], [0, 0, -0.6, 0.5]]])  # fmt: skip
+LARGER = np.where(np.arange(4) < 3, MAPS, 0)
+BOTH = ["surface.control_points", "surface.instances"]
+
+
+def instances(net: np.ndarray) -> dict[str, Any]:
+    return bezier(net, instances=tensor(MAPS))
+
+
+@pytest.mark.parametrize("net", [BALL, BENT], ids=["ball", "patch"])
+@pytest.mark.parametrize("place", ["in view", "shadow"])
+def test_outlines_of_instances(net, place):
+    seen = place == "in view"
+    scene = (in_view if seen else with_shadow)(instances(net))
+    side = SIDE if seen else 4
+    w = weights(side)
+    if seen:  # a loss that tells left from right
+        w *= np.linspace(0, 2, side, dtype=np.float32)[:, None]
+    which = {"sppi": 0} if seen else {"sppc": 4, "sppp": 0}
+    full = mi.load_dict({"type": "bezier_direct_projective", **which})
+    spp = 4096 if seen else 16384
+    by_net, by_maps = derivatives(full, scene, BOTH, w, spp)
+    # a net that grows is a surface that grows before its maps
+    grown = np.array(net)
+    grown[..., 3] = 0
+    # 2 % are noise, of pixels that an outline crosses and of lines that touch the surface
+    for got, key, change in (
+        ((by_maps * LARGER).sum(), BOTH[1], LARGER),
+        ((by_net * grown).sum(), BOTH[0], grown),
+    ):
+        want = central(scene, key, change, w, 8100 if seen else 4096, 0.04)
+        assert got == pytest.approx(want, rel=0.1), key
+    # one of them moves
+    if seen:
+        moved = np.zeros_like(MAPS)
+        moved[1, :, 3] = 1, -0.7, 0.4
+        want = central(scene, BOTH[1], moved, w, 8100, 0.03)
+        assert (by_maps * moved).sum() == pytest.approx(want, rel=0.1)
+
+
+def test_forward_is_reverse_for_instances():
+    scene = in_view(instances(BENT))
+    full = mi.load_dict({"type": "bezier_prb_projective", "max_depth": 2, "sppi": 16})
+    w = weights(SIDE)
+    (got,) = derivatives(full, scene, BOTH[1:], w, 64)
+    change = np.random.default_rng(0).normal(size=MAPS.shape)
+    params = mi.traverse(scene)
+    attached(params, BOTH[1:])
+    dr.set_grad(params[BOTH[1]], tensor(change))
+    image = full.render_forward(scene, None, seed=1, spp=64)
+    # the same samples: only the order of sums differs
+    assert inner(image, w) == pytest.approx(float((got * change).sum()), rel=1e-3)
+
+
+def test_instances_are_a_parameter():
+    shape = mi.load_dict(instances(BALL))
+    params = mi.traverse(shape)
+    ray = mi.Ray3f(mi.Point3f(3, 0.3, 9), mi.Vector3f(0, 0, -1))
+    assert not shape.ray_test(ray)[0]
+    moved = MAPS.copy()
+    moved[0, 0, 3] = 3
+    params["instances"] = tensor(moved)
+    params.update()
+    assert shape.ray_test(ray)[0] and shape.bbox().max.x == pytest.approx(3.6, abs=1e-5)
+    params["instances"] = tensor(np.zeros_like(MAPS))
+    with pytest.raises(mb.BezierError, match="instances: expected finite, regular, affine maps"):
+        params.update()
+    assert shape.ray_test(ray)[0]
+    assert np.array(params["instances"])[0, 0, 3] == 3
+
+
+def test_silhouette_samples_of_instances():
+    shape = mi.load_dict(instances(BENT))
+    eye = mi.ScalarPoint3f(0, 0, 5)
+    index, length = shape.precompute_silhouette(eye)
+    ss = shape.sample_precomputed_silhouette(eye, index, mi.Float(0.5))
+    assert set(np.unique(np.array(ss.scene_index))) == {1, 2} and (np.array(length) > 0).all()
+    # all kinds: numbers of the unit cube come back, up to roundings and to what has no inverse
+    sample = mi.Point3f(np.random.default_rng(0).random((3, 2000)))
+    flags = mi.DiscontinuityFlags.AllTypes
+    ss = shape.sample_silhouette(sample, flags)
+    again = shape.sample_silhouette(shape.invert_silhouette_sample(ss), flags)
+    good = np.array(ss.is_valid())
+    for name in ("p", "d"):
+        off = np.linalg.norm(np.array(getattr(ss, name)) - np.array(getattr(again, name)), axis=0)
+        assert good.sum() > 1500 and np.quantile(off[good], 0.99) < 1e-3, name
+    assert (np.array(ss.scene_index) == np.array(again.scene_index))[good].mean() > 0.99
+    with pytest.raises(mb.BezierError, match="no instances where an interaction is to tell one"):
+        shape.differential_motion(dr.zeros(mi.SurfaceInteraction3f))
