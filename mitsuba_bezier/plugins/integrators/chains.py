@@ -206,11 +206,11 @@ class Chains:
     def step_forward(self, total: Any, o: Any, d: Any) -> tuple[Any, dict[str, Any]]:
         """Return the derivative of the light at a vertex, and the tangent of the next ray."""
         if not self.moves:
-            return dr.forward_to(total), {}
+            return mi.Spectrum(dr.forward_to(total)), {}
         # roundings of 0 keep targets apart that may be one variable
         o, d = mi.Vector3f(o) + 0.0, d + 0.0
         dr.forward_to(total, o, d, flags=dr.ADFlag.ClearEdges)
-        return dr.grad(total), {"o": dr.grad(o), "d": dr.grad(d)}
+        return mi.Spectrum(dr.grad(total)), {"o": dr.grad(o), "d": dr.grad(d)}
 
     def step_backward(
         self,

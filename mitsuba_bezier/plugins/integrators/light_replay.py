@@ -208,7 +208,7 @@ class LightReplay:
         position = mi.Point2f(dr.detach(ds.uv))
         if self.forward:
             dr.forward_to(colour, flags=dr.ADFlag.ClearEdges)
-            change = dr.grad(colour)
+            change = mi.Color3f(dr.grad(colour))
             still = (position, mi.Vector2f(0.0))
             with dr.suspend_grad():
                 fixed = dr.detach(colour)
@@ -256,7 +256,7 @@ class LightReplay:
         change = mi.Spectrum(0.0)
         if self.forward and dr.grad_enabled(carried):
             dr.forward_to(carried, flags=dr.ADFlag.ClearEdges)
-            change = dr.grad(carried)
+            change = mi.Spectrum(dr.grad(carried))
         elif rest is not None and dr.grad_enabled(carried):
             with dr.resume_grad():
                 dr.backward_from(dr.sum(rest * relative(carried)))
@@ -375,11 +375,11 @@ class LightReplay:
                 next_o, next_d = mi.Vector3f(next_o) + 0.0, next_d + 0.0
                 moving = (next_o, next_d) if self.moves else ()
                 dr.forward_to(colour, position, after, *moving, flags=dr.ADFlag.ClearEdges)
-                out["change"] = dr.grad(after)
+                out["change"] = mi.Spectrum(dr.grad(after))
                 if self.moves:
                     out["chain"] = {"o": dr.grad(next_o), "d": dr.grad(next_d)}
                 place = dr.detach(position), dr.grad(position)
-                light = dr.detach(colour), dr.grad(colour)
+                light = dr.detach(colour), mi.Color3f(dr.grad(colour))
                 with dr.suspend_grad():
                     self.footprint.splat(self.image, self.channels, place, light, lit)
             else:

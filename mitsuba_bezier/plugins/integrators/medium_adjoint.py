@@ -131,7 +131,7 @@ class MediumAdjoint:
                 if not dr.grad_enabled(change):
                     return total
                 if forward:
-                    return total + dr.forward_to(change)
+                    return total + mi.Spectrum(dr.forward_to(change))
                 dr.backward_from(derivative * change)
                 return total
 
@@ -145,4 +145,4 @@ class MediumAdjoint:
         if self.mode == dr.ADMode.Backward:
             dr.backward_from(derivative * total)
             return derivative
-        return derivative + dr.forward_to(total)
+        return derivative + mi.Spectrum(dr.forward_to(total))

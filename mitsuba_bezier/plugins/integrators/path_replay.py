@@ -264,6 +264,11 @@ def _attached_light(rays: SceneRays, si: Any, here: Any, light: LightSample) -> 
     moved.d = direction
     attached = dr.replace_grad(ds, dr.select(varying & met.is_valid(), moved, ds))
     attached.d = direction
+    # the cone of a spot, and the picture of a projector, follow the vertex only in a new sample
+    placed = theirs & mi.has_flag(flags, mi.EmitterFlags.DeltaPosition)
+    _same, again = ds.emitter.sample_direction(si, mi.Point2f(0.5), placed)
+    value += dr.select(placed, again * ds.pdf, 0.0)
+    theirs = theirs & ~placed
     value += dr.select(theirs, scene.eval_emitter_direction(si, attached, theirs), 0.0)
 
     inverse = dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0.0)
