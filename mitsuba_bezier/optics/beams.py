@@ -213,7 +213,7 @@ def used_semi_diameters(lens: Lens) -> np.ndarray:
     radii = np.zeros(len(lens.surfaces))
     angle = np.arange(24) / 24 * 2 * np.pi
     rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    for field in dict.fromkeys((float(x), float(y)) for x, y in lens.fields):
+    for field in lens.field_points():
         result = trace(lens, *beam(lens, field, rim), vignetting=False)
         r = np.linalg.norm(result.local[:-1, :, :2], axis=2)
         radii = np.maximum(radii, np.where(np.isfinite(r), r, 0.0).max(axis=1))

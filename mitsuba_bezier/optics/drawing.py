@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .._files import write_file
+from .._files import check_target, write_file
 from ..errors import FileFormatError, PrescriptionError, RuntimeSetupError
 from .beams import beam, pupil_grid, spot
 from .lens import Lens
@@ -15,12 +15,23 @@ from .patches import clear_radii
 from .trace import trace
 
 #: Colours of fields that differ in print and to colour-blind eyes (Okabe and Ito 2008).
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+#: Width of drawings in pixels.
+_PIXELS = 1600
 
 _SUFFIXES = (".svg", ".png", ".pdf")
 
 
-def _figure(width: float, height: float) -> Any:
+def field_name(lens: Lens, field: tuple[float, float]) -> str:
+    """Return a field as charts name it: ``14°``, ``(3, 4) mm``."""
+    x, y = field
+    text = f"({x:g}, {y:g})" if x else f"{y:g}"
+    return f"{text}°" if lens.field_kind == "angle" else f"{text} {lens.unit}"
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty figure, or raise an error that says how to install matplotlib."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -51,7 +62,7 @@ def draw_section(lens: Lens, rays: int = 7) -> Any:
     RuntimeSetupError
         Without matplotlib.
     """
-    figure = _figure(16, 9)
+    figure = new_figure(16, 9)
     axes = figure.add_subplot()
     sizes = clear_radii(lens)
     frames = lens.frames()
@@ -75,7 +86,7 @@ def draw_section(lens: Lens, rays: int = 7) -> Any:
         else:
             axes.plot(*line.T, color="#34495e", linewidth=1.2, zorder=2)
     fan = np.stack([np.zeros(rays), np.linspace(-1, 1, rays)], axis=1)
-    fields = list(dict.fromkeys((float(x), float(y)) for x, y in lens.fields))
+    fields = lens.field_points()
     tallest = 0.0
     for number, field in enumerate(fields):
         try:
@@ -90,12 +101,10 @@ def draw_section(lens: Lens, rays: int = 7) -> Any:
             axes.plot(
                 path[:, j, 2],
                 path[:, j, 1],
-                color=_COLOURS[number % len(_COLOURS)],
+                color=COLOURS[number % len(COLOURS)],
                 linewidth=0.8,
                 zorder=2,
-                label=f"{field[1]:g}" + ("°" if lens.field_kind == "angle" else f" {lens.unit}")
-                if j == np.flatnonzero(result.valid)[0]
-                else None,
+                label=field_name(lens, field) if j == np.flatnonzero(result.valid)[0] else None,
             )
         if result.valid.any():
             tallest = max(tallest, np.abs(result.local[-1][result.valid][:, 1]).max())
@@ -121,8 +130,8 @@ def draw_spots(lens: Lens, rings: int = 12) -> Any:
     RuntimeSetupError
         Without matplotlib.
     """
-    fields = list(dict.fromkeys((float(x), float(y)) for x, y in lens.fields))
-    figure = _figure(16, 16 / max(len(fields), 3) + 1.5)
+    fields = lens.field_points()
+    figure = new_figure(16, 16 / max(len(fields), 3) + 1.5)
     panels = figure.subplots(1, len(fields), squeeze=False)[0]
     pupil = pupil_grid(rings)
     found = [[spot(lens, field, w, pupil) for w in lens.wavelengths] for field in fields]
@@ -138,19 +147,32 @@ def draw_spots(lens: Lens, rings: int = 12) -> Any:
                 *points.T,
                 s=9,
                 marker=marks[k % len(marks)],
-                color=_COLOURS[k % len(_COLOURS)],
+                color=COLOURS[k % len(COLOURS)],
                 linewidths=0,
                 label=f"{1000 * w:.1f} nm",
             )
         axes.set_xlim(-1.1 * reach, 1.1 * reach)
         axes.set_ylim(-1.1 * reach, 1.1 * reach)
         axes.set_aspect("equal")
-        name = f"{field[1]:g}°" if lens.field_kind == "angle" else f"{field[1]:g} {lens.unit}"
-        axes.set_title(f"field {name}: rms {rms:.4g} {lens.unit}")
+        axes.set_title(f"field {field_name(lens, field)}: rms {rms:.4g} {lens.unit}")
         axes.set_xlabel(f"x / {lens.unit}")
     panels[0].set_ylabel(f"y / {lens.unit}")
     panels[-1].legend(loc="upper right")
     return figure
+
+
+def check_drawing(path: str | PathLike[str], parameter: str = "path") -> None:
+    """Raise an error if a figure cannot be written to a file.
+
+    Raises
+    ------
+    FileFormatError
+        If the suffix is none of those of `save_figure`, or the file cannot be written.
+    """
+    if str(path)[-4:].lower() not in _SUFFIXES:
+        expected = f"a file {', '.join(_SUFFIXES)}"
+        raise FileFormatError.expected(parameter, expected, repr(str(path)))
+    check_target(path, parameter)
 
 
 def save_figure(figure: Any, path: str | PathLike[str]) -> None:
@@ -163,9 +185,8 @@ def save_figure(figure: Any, path: str | PathLike[str]) -> None:
     """
     import io
 
+    check_drawing(path)
     suffix = str(path)[-4:].lower()
-    if suffix not in _SUFFIXES:
-        raise FileFormatError.expected("path", f"one of {', '.join(_SUFFIXES)}", repr(str(path)))
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=suffix[1:], dpi=100)
+    figure.savefig(buffer, format=suffix[1:], dpi=_PIXELS / figure.get_figwidth())
     write_file(path, buffer.getvalue())

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import PrescriptionError
+from .checks import UNITS, check_lens, crossings
 from .glass import AIR, Medium
 
 
@@ -113,14 +114,6 @@ class Surface:
         return 1 / np.sqrt(k) if k > 0 else np.inf
 
 
-#: How the size of the beam is given: entrance pupil diameter, image-space f-number,
-#: object-space numerical aperture, or the stop's own size.
-APERTURES = ("diameter", "f_number", "object_na", "stop")
-
-#: How fields are given.
-FIELDS = ("angle", "object_height", "image_height")
-
-
 @dataclass(frozen=True)
 class Lens:
     """A lens: surfaces in the order in which light meets them, and how it is used.
@@ -133,13 +126,14 @@ class Lens:
     object_distance : float
         From the object to the first vertex, positive; infinite for a distant object.
     aperture : tuple
-        One of `APERTURES`, and its number.
+        One of ``diameter`` (of the entrance pupil), ``f_number`` (of the image space),
+        ``object_na`` (numerical aperture) and ``stop`` (its semi-diameter), and the number.
     wavelengths, weights : sequence of float
         In micrometres, and their weights.
     reference : int
         Index of the reference wavelength.
     field_kind : str
-        One of `FIELDS`.
+        ``angle``, ``object_height`` or ``image_height``.
     fields : sequence of (float, float)
         x and y of each field: degrees or lengths.
     vignetting : sequence of (float, float, float, float), optional
@@ -156,7 +150,8 @@ class Lens:
     ------
     PrescriptionError
         If numbers are not finite where they must be, no surface or more than one stop is given, a
-        clear aperture is wider than its surface, or neighbours cross within it.
+        clear aperture is wider than its surface, or neighbours cross on the axis. (That they cross
+        farther out `crossings` tells; `load` and `lens_shapes` refuse that.)
 
     Examples
     --------
@@ -182,53 +177,22 @@ class Lens:
     object_medium: Medium = AIR
 
     def __post_init__(self) -> None:
-        if not self.surfaces:
-            raise PrescriptionError.expected("surfaces", "one surface at least", "none")
-        stops = [i for i, s in enumerate(self.surfaces) if s.stop]
-        if len(stops) > 1:
-            raise PrescriptionError.expected(
-                "stop", "one surface", f"surfaces {', '.join(str(i + 1) for i in stops)}"
-            )
-        if not self.object_distance > 0:
-            raise PrescriptionError.expected(
-                "object_distance", "a positive number or infinity", self.object_distance
-            )
-        if self.aperture is not None:
-            kind, value = self.aperture
-            if kind not in APERTURES:
-                raise PrescriptionError.expected(
-                    "aperture", f"one of {', '.join(APERTURES)}", repr(kind)
-                )
-            if kind != "stop" and not 0 < value < np.inf:
-                raise PrescriptionError.expected(f"aperture {kind}", "a positive number", value)
-        if self.field_kind not in FIELDS:
-            raise PrescriptionError.expected(
-                "field_kind", f"one of {', '.join(FIELDS)}", repr(self.field_kind)
-            )
-        if not self.wavelengths or not all(0 < w < np.inf for w in self.wavelengths):
-            raise PrescriptionError.expected(
-                "wavelengths", "positive numbers, in micrometres", list(self.wavelengths)
-            )
-        if not 0 <= self.reference < len(self.wavelengths):
-            raise PrescriptionError.expected(
-                "reference", f"an index below {len(self.wavelengths)}", self.reference
-            )
-        for i, s in enumerate(self.surfaces, start=1):
-            numbers = [s.curvature, s.thickness, s.conic, *s.coefficients]
-            if not np.isfinite(numbers).all():
-                raise PrescriptionError.expected(
-                    f"surface {i}", "finite curvature, thickness, conic, coefficients", numbers
-                )
-            if not s.semi_diameter > 0:
-                raise PrescriptionError.expected(
-                    f"semi-diameter of surface {i}", "a positive number", s.semi_diameter
-                )
-            if np.isfinite(s.semi_diameter) and s.semi_diameter > s.reach() * (1 + 1e-9):
-                raise PrescriptionError.expected(
-                    f"semi-diameter of surface {i}",
-                    f"at most {s.reach():.6g}, where the conic ends",
-                    f"{s.semi_diameter:.6g}",
-                )
+        check_lens(self)
+
+    @property
+    def millimetres(self) -> float:
+        """Millimetres in the lens's unit."""
+        return UNITS[self.unit]
+
+    def spectrum(self) -> list[tuple[float, float]]:
+        """Return wavelengths in micrometres with their shares of the light, whose sum is 1."""
+        weights = np.ones(len(self.wavelengths)) if self.weights is None else self.weights
+        shares = np.array(weights, float) / np.sum(weights)
+        return [(float(w), float(s)) for w, s in zip(self.wavelengths, shares) if s > 0]
+
+    def field_points(self) -> list[tuple[float, float]]:
+        """Return the fields, each once."""
+        return list(dict.fromkeys((float(x), float(y)) for x, y in self.fields))
 
     def vignetted(self, field: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
         """Return points ``(N, 2)`` of the unit disk as the beam of a field fills the pupil."""
@@ -277,22 +241,7 @@ class Lens:
 
     def crossings(self) -> list[str]:
         """Return a sentence for each pair of neighbours that cross inside their clear apertures."""
-        found = []
-        signs = self.directions()
-        for i, (a, b) in enumerate(zip(self.surfaces, self.surfaces[1:], strict=False)):
-            moved = not (np.allclose(a.after, np.eye(4)) and np.allclose(b.before, np.eye(4)))
-            r = min(a.semi_diameter, b.semi_diameter)
-            if moved or not np.isfinite(r):
-                continue
-            rs = np.linspace(0, r, 65)
-            gap = signs[i + 1] * (a.thickness + b.sag(rs) - a.sag(rs))
-            least = int(np.nanargmin(gap))
-            if gap[least] < -1e-9 * max(r, abs(a.thickness)):
-                found.append(
-                    f"surfaces {i + 1} and {i + 2} cross: {gap[least]:.4g} {self.unit} apart at "
-                    f"{rs[least]:.4g} from the axis"
-                )
-        return found
+        return list(crossings(self))
 
     def scaled(self, factor: float) -> Lens:
         """Return the lens `factor` times as large, with beams and fields of lengths as well."""

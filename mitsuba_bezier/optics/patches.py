@@ -12,6 +12,7 @@ from ..geometry.revolution import band, cap, disk_sectors
 from ..geometry.tensor import tensor_to_triangles
 from ..geometry.triangles import BezierTriangles
 from .beams import used_semi_diameters
+from .checks import check_body
 from .glass import spelled
 from .lens import Lens, Surface
 
@@ -214,7 +215,7 @@ def lens_shapes(
     Raises
     ------
     PrescriptionError
-        If a surface is no graph inside its aperture, or its size is unknown.
+        If a surface is no graph inside its aperture, its size is unknown, or neighbours cross.
 
     Examples
     --------
@@ -227,6 +228,7 @@ def lens_shapes(
     world = np.eye(4) if to_world is None else np.asarray(to_world, float)
     n, radii, media = lens.indices(w), clear_radii(lens), lens.media()
     frames = world @ lens.frames()
+    check_body(lens)
     shapes: dict[str, dict[str, Any]] = {}
 
     def add(name: str, net: BezierTriangles, frame: np.ndarray, bsdf: dict[str, Any]) -> None:

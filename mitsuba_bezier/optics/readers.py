@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 
 from ..errors import FileFormatError
+from .checks import check_body
 from .codev import read_codev
 from .lens import Lens
 from .tables import read_csv, read_pbrt
@@ -41,4 +42,6 @@ def load(path: str | PathLike[str]) -> Lens:
         raise FileFormatError.expected(
             "path", f"a prescription ({', '.join(READERS)})", f"{str(path)!r}"
         )
-    return READERS[suffix](path)
+    lens = READERS[suffix](path)
+    check_body(lens)
+    return lens

@@ -66,7 +66,7 @@ def report(lens: Lens) -> str:
         table.append((str(i + 1), *cells, marks.strip()))
     out += ["", *_aligned(table)]
     lines = []
-    for x, y in dict.fromkeys((float(x), float(y)) for x, y in lens.fields):
+    for x, y in lens.field_points():
         try:
             found = [spot(lens, (x, y), w) for w in lens.wavelengths]
             points = np.concatenate([f.points for f in found])

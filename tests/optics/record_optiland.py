@@ -13,10 +13,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from optiland.analysis import FieldCurvature
+from optiland.mtf import GeometricMTF
 from optiland.optic import Optic
 from optiland.samples import objectives, simple, telescopes
 
 #: Height of the field (share of the largest) and place in the pupil.
+#: Fields at which foci are recorded, from the axis on, and frequencies of the modulation.
+FOCI, FREQUENCIES = 5, 4
 RAYS = [(h, *p) for h in (0, 0.7, 1.0) for p in ((0, 0), (0, 1), (0.5, -0.5), (-0.9, 0.1))]
 
 
@@ -42,7 +46,19 @@ def describe(optic: Optic) -> dict:
     for ray in RAYS:
         r = optic.trace_generic(0.0, *ray, wavelength)
         rays.append([*ray, float(np.ravel(r.x)[0]), float(np.ravel(r.y)[0])])
+    tangential, sagittal = FieldCurvature(optic, [wavelength], FOCI).data[0]
+    # so far that the spot of the outermost field has lost some contrast
+    outer = np.array([r[4:] for r in rays if r[0] == 1.0])
+    top = 0.3 / max(float(outer.std(axis=0).max()), 1e-3)
+    mtf = GeometricMTF(
+        optic, [(0, 0), (0, 1)], wavelength, 200, "uniform", FREQUENCIES, top, scale=False
+    )
+    mtf.num_points = 2000  # bins of its histogram, which would blur
+    curves, _ = mtf._generate_mtf_data()
     return {
+        "foci": [np.ravel(tangential).tolist(), np.ravel(sagittal).tolist()],
+        "frequencies": np.ravel(mtf.freq).tolist(),
+        "mtf": np.array(curves).reshape(2, 2, -1).tolist(),
         "wavelength": wavelength,
         "surfaces": surfaces,
         "aperture": [optic.aperture.ap_type, float(optic.aperture.value)],

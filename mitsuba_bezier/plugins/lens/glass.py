@@ -16,8 +16,6 @@ __all__ = ["COUNT", "FIRST", "LAST", "Glass", "Light", "tabulated", "wavelength_
 
 #: Wavelengths in nanometres at which indices are tabulated.
 FIRST, LAST, COUNT = 360.0, 830.0, 95
-#: Millimetres of a lens's unit.
-_MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
 
 class Light:
@@ -61,7 +59,7 @@ class Glass:
         self._waves = np.concatenate([[reference], CHANNELS, waves])
         rows = np.array([tabulated(m, self._waves, reference) for m in media]).T
         self._index = mi.Float(rows.ravel())
-        scale = _MILLIMETRES[lens.unit]
+        scale = lens.millimetres
         fades = np.array([scale * absorption(m, self._waves) for m in media]).T
         self.absorbs = bool(fades.any())
         self._fades = mi.Float(fades.ravel())
