@@ -9,6 +9,7 @@ import numpy as np
 
 from .._runtime import import_mitsuba
 from ..errors import BezierError
+from ..geometry.checks import length
 from ..geometry.triangles import BezierTriangles
 
 __all__ = ["Parametrization", "Values", "as_patches", "assembled", "column", "spread", "tensor"]
@@ -83,19 +84,24 @@ class Values(Parametrization):
     low, high : float, optional
         Bounds, which are kept by a logistic function. Both or none.
     scale : float, optional
-        A large change; by default the largest number of `start`, or 1. It does not count where
-        the numbers are positive or bounded.
+        A large change; by default the largest number that is unknown, or 1. It does not count
+        where the numbers are positive or bounded.
+    only : sequence of int, optional
+        Which entries are unknown, counted in C order; the others stay. By default all.
 
     Raises
     ------
     BezierError
-        If numbers are not finite, not positive or not within the bounds.
+        If numbers are not finite, not positive or not within the bounds, or `only` does not name
+        entries, each once.
 
     Examples
     --------
     >>> from mitsuba_bezier import fit
     >>> fit.Values([0.2, 0.4, 0.5], low=0, high=1).start()["values"].round(2).tolist()
     [-1.39, -0.41, 0.0]
+    >>> fit.Values([8.75, 0.5, 61.0], only=[-1]).start()["values"].tolist()
+    [61.0]
     """
 
     def __init__(
@@ -105,14 +111,17 @@ class Values(Parametrization):
         low: float | None = None,
         high: float | None = None,
         scale: float | None = None,
+        only: Any = None,
     ) -> None:
-        self.first = np.array(start, dtype=np.float64)
-        if not self.first.size or not np.isfinite(self.first).all():
-            raise BezierError.expected("start", "finite numbers", self.first.tolist())
+        self.whole = _numbers(start)
+        self.only = None if only is None else _entries(only, self.whole.size)
+        self.first = self.whole if self.only is None else self.whole.ravel()[self.only]
         if (low is None) != (high is None) or (positive and low is not None):
             raise BezierError.expected(
                 "low, high", "both bounds or none, and none for positive numbers", (low, high)
             )
+        if low is not None and high is not None and not -np.inf < low < high < np.inf:
+            raise BezierError.expected("low, high", "finite bounds, low below high", (low, high))
         if positive and not (self.first > 0).all():
             raise BezierError.expected("start", "positive numbers", self.first.tolist())
         inside = low is None or high is None or ((self.first > low) & (self.first < high)).all()
@@ -120,6 +129,8 @@ class Values(Parametrization):
             raise BezierError.expected(
                 "start", f"numbers between {low} and {high}", self.first.tolist()
             )
+        if scale is not None:
+            length("scale", scale)
         self.positive, self.low, self.high = positive, low, high
         plain = float(np.abs(self.first).max(initial=0.0)) or 1.0
         self.scale = (scale or plain) if not positive and low is None else 1.0
@@ -140,10 +151,41 @@ class Values(Parametrization):
 
         x = unknowns["values"]
         if self.positive:
-            return dr.exp(x)
-        if self.low is not None and self.high is not None:
-            return self.low + (self.high - self.low) / (1 + dr.exp(-x))
-        return x + 0
+            x = dr.exp(x)
+        elif self.low is not None and self.high is not None:
+            x = self.low + (self.high - self.low) / (1 + dr.exp(-x))
+        if self.only is None:
+            return x + 0
+        mi = import_mitsuba()
+        out = tensor(self.whole)
+        entries = mi.Float(out.array)
+        dr.scatter(entries, x.array, mi.UInt32(self.only))
+        return mi.TensorXf(entries, shape=self.whole.shape)
+
+
+def _numbers(start: Any) -> np.ndarray:
+    """Return an array of finite numbers, of which there are some."""
+    try:
+        numbers = np.array(start, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise BezierError.expected("start", "finite numbers", repr(start)) from None
+    if not numbers.size or not np.isfinite(numbers).all():
+        raise BezierError.expected("start", "finite numbers", numbers.tolist())
+    return numbers
+
+
+def _entries(only: Any, count: int) -> np.ndarray:
+    """Return the places of entries, counted from zero."""
+    places = np.atleast_1d(np.asarray(only))
+    if not (
+        places.ndim == 1
+        and places.size
+        and np.issubdtype(places.dtype, np.integer)
+        and ((-count <= places) & (places < count)).all()
+        and len(np.unique(places % count)) == len(places)
+    ):
+        raise BezierError.expected("only", f"entries from 0 to {count - 1}, each once", only)
+    return places % count
 
 
 def as_patches(patches: Any) -> BezierTriangles:

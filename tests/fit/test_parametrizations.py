@@ -180,6 +180,22 @@ def test_joins_are_zero_where_the_surface_is_smooth_and_not_where_it_is_not() ->
     assert angle == pytest.approx(total / count, rel=1e-4)
 
 
+def test_only_some_entries_are_unknown_and_the_others_stay() -> None:
+    first = np.array([[8.0, 0.5, 3.0], [60.0, 1.0, 2.0]])
+    item = fit.Values(first, only=[-3, 1], low=0, high=100)
+    assert item.start()["values"].shape == (2,)
+    x = mi.TensorXf(item.start()["values"] + [0.5, 0.0])
+    dr.enable_grad(x)
+    value = item.value({"values": x})
+    # the logistic function of ln(60 / 40) + 1/2
+    expected = first.copy()
+    expected[1, 0] = 100 / (1 + np.exp(-np.log(1.5) - 0.5))
+    assert np.allclose(np.array(value), expected, rtol=1e-6)
+    dr.backward(dr.sum(value * mi.TensorXf(np.arange(6.0).reshape(2, 3)), axis=None))
+    slope = expected[1, 0] * (1 - expected[1, 0] / 100)
+    assert np.allclose(np.array(dr.grad(x)), [3 * slope, 0.5 * (1 - 0.005)], rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("make", "says"),
     [
@@ -197,6 +213,16 @@ def test_joins_are_zero_where_the_surface_is_smooth_and_not_where_it_is_not() ->
         (lambda: fit.Values([0.5], low=1, high=2), "start"),
         (lambda: fit.Values([0.5], low=0), "low, high"),
         (lambda: fit.Values([np.nan]), "start"),
+        (lambda: fit.Values("blue"), "start"),
+        (lambda: fit.Values([]), "start"),
+        (lambda: fit.Values([[1], [2, 3]]), "start"),
+        (lambda: fit.Values([0.5], low=0, high=np.inf), "low, high"),
+        (lambda: fit.Values([0.5], scale=0), "scale"),
+        (lambda: fit.Values([1, 2], only=[2]), "only: expected entries from 0 to 1"),
+        (lambda: fit.Values([1, 2], only=[1, -1]), "only"),
+        (lambda: fit.Values([1, 2], only=[]), "only"),
+        (lambda: fit.Values([1, 2], only=[0.5]), "only"),
+        (lambda: fit.Values([1, 2], only=[True, False]), "only"),
         (lambda: fit.Joins(mb.sphere()[:1]), "patches"),
     ],
 )

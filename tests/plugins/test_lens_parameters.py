@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import drjit as dr
@@ -155,6 +156,30 @@ def test_moved_parameters_are_another_focus():
     a, b = rays(plugin), rays(sensor(focus_distance=1.0))
     assert np.allclose(np.array(a[0].d), np.array(b[0].d), atol=1e-5)
     assert np.allclose(np.array(a[1]), np.array(b[1]), rtol=1e-3)
+
+
+@pytest.mark.parametrize("more", [{}, {"ghosts": True}])
+def test_a_lens_that_moves_needs_no_new_kernels(more):
+    plugin = sensor(focus_distance=2.0, **more)
+    params = mi.traverse(plugin)
+    fresh = []
+    known: set[str] = set()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for step in range(3):
+            values = np.array(params["thicknesses"])
+            values[-1] += 0.1
+            params["thicknesses"] = mi.Float(values)
+            params.update()
+            dr.kernel_history_clear()
+            dr.eval(rays(plugin, 512))
+            # texts, as kernels may come from the disk; alignments and names are not of the lens
+            without = re.compile(r"align \d+|drjit_\w+|i32 \d+, <\d+ x i1>")
+            jit = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+            kernels = {without.sub("", k["ir"].getvalue()) for k in jit}
+            fresh.append(len(kernels - known))
+            known |= kernels
+            assert step == 0 or kernels
+    assert fresh[0] > 0 and fresh[1:] == [0, 0]
 
 
 def test_moved_glass_is_other_glass(tmp_path):

@@ -140,8 +140,8 @@ def make_lens_class() -> type:
             """Turn the lens round, bound the pupil, and find how bright the middle is."""
             size = self.film().size()
             self._height = self._width * size[1] / size[0]
-            self._pupil = first_order(lens).entrance_pupil
-            if not np.isfinite(self._pupil):
+            pupil = first_order(lens).entrance_pupil
+            if not np.isfinite(pupil):
                 raise PrescriptionError("stop: expected an entrance pupil at a finite place")
             distance = lens.surfaces[-1].thickness
             if not distance > 0:
@@ -156,8 +156,12 @@ def make_lens_class() -> type:
             bounds = pupil_bounds(back, distance, reach, w)
             self._bounds = [mi.Float(column) for column in bounds.T]
             self._reach = reach
-            self._bright = _middle(back, distance, bounds[0], w, self._blades, self._layers)
-            self._rear = _rear_radius(back, distance, reach)
+            bright = _middle(back, distance, bounds[0], w, self._blades, self._layers)
+            # no literals of kernels, which would be compiled anew for each lens of a search
+            self._pupil, self._bright, self._rear = (
+                dr.opaque(mi.Float, number)
+                for number in (pupil, bright, _rear_radius(back, distance, reach))
+            )
 
         def traverse(self, callback: Any) -> None:
             differentiable = mi.ParamFlags.Differentiable
@@ -310,9 +314,8 @@ def make_lens_class() -> type:
             u, v = dr.select(narrow, u, disk.x), dr.select(narrow, v, disk.y)
             inside = (u >= x0) & (u <= x1) & (v >= y0) & (v <= y1) & (area > 0)
             density = dr.select(inside, share / dr.maximum(area, 1e-30), 0.0)
-            density += dr.select(
-                u * u + v * v <= self._rear**2, (1.0 - share) / (np.pi * self._rear**2), 0.0
-            )
+            rear2 = dr.square(self._rear)
+            density += dr.select(u * u + v * v <= rear2, (1.0 - share) / (np.pi * rear2), 0.0)
             return mi.Point2f(c * u - s * v, s * u + c * v), dr.rcp(density)
 
         def to_string(self) -> str:
