@@ -237,6 +237,12 @@ def _light_behind_glass() -> Any:
     return _scene(camera=_above(), surface=surface, picture=_bright(-3, 0))
 
 
+def _light_behind_any_glass() -> Any:
+    """The same with glass whose index is a parameter."""
+    surface = _shape(_lens(0.5), bsdf={"type": "dispersive", "int_ior": 1.5})
+    return _scene(camera=_above(), surface=surface, picture=_bright(-3, 0))
+
+
 def _nested() -> Any:
     inside = _shape(_lens(0.2, 1.0), bsdf=_glass(1.2, 1.5))
     outside = _shape(_lens(0.5), bsdf=_glass())
@@ -413,10 +419,9 @@ SITUATIONS = [
     Situation(
         "ior",
         "int_ior",
-        _with(lambda scene: _by_value(scene, "surface.bsdf.eta"), _light_behind_glass),
-        0.02,
+        _with(lambda scene: _by_value(scene, "surface.bsdf.int_ior"), _light_behind_any_glass),
+        0.04,
         4096,
-        missing="Mitsuba's dielectric has no parameter for it",
     ),
     Situation(
         "to_world", "place", _with(lambda scene: _by_place(scene), _light_behind_glass), 0.04, 4096

@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import VariantError
+from ..errors import BezierError, VariantError
 from ..optics import Medium, coating, glass
-from ..optics.glass import CHANNELS, LINE_D
+from ..optics.glass import CHANNELS, LINE_D, Constant
 from .lens.ghosts import reflected
 from .lens.glass import COUNT, FIRST, LAST, tabulated, wavelength_place
 from .one_color import channel_of
@@ -37,6 +37,11 @@ def make_dispersive_class() -> type:
          * - exterior
            - |string|
            - What is outside, on the side of the normals (Default: ``air``).
+         * - int_ior, ext_ior
+           - |float|
+           - Indices in place of `material` and `exterior`, the same for all wavelengths. Whichever
+             names the media, these are parameters with derivatives: the index at 587.6 nm, along
+             with which those of all wavelengths move.
          * - coating
            - |string|
            - ``none``, ``ideal``, ``quarter_wave[:NANOMETRES]``, or layers
@@ -55,11 +60,15 @@ def make_dispersive_class() -> type:
             super().__init__(props)
             if mi.is_polarized:
                 raise VariantError("dispersive: expected a variant without polarization")
-            inside = glass(str(props.get("material", "1.5168:64.17")))
-            outside = glass(str(props.get("exterior", "air")))
+            inside = _medium(props, "material", "int_ior", "1.5168:64.17")
+            outside = _medium(props, "exterior", "ext_ior", "air")
             self._names = inside.name, outside.name
             self._layers = coating(str(props.get("coating", "none")))
             self._inside, self._outside = _indices(inside), _indices(outside)
+            self.int_ior, self.ext_ior = (
+                dr.gather(mi.Float, table, 0) for table in (self._inside, self._outside)
+            )
+            dr.make_opaque(self.int_ior, self.ext_ior)
             both = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
             reflection = mi.BSDFFlags.DeltaReflection | both
             transmission = mi.BSDFFlags.DeltaTransmission | both | mi.BSDFFlags.NonSymmetric
@@ -133,6 +142,31 @@ def make_dispersive_class() -> type:
             """Return zeros: an ideal direction is never met by chance."""
             return mi.Spectrum(0.0), mi.Float(0.0)
 
+        def traverse(self, cb: Any) -> None:
+            """Show the indices; they turn light, so that outlines behind the glass move."""
+            flags = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
+            cb.put("int_ior", self.int_ior, flags)
+            cb.put("ext_ior", self.ext_ior, flags)
+
+        def parameters_changed(self, keys: Any) -> None:
+            """Check the indices; those that are none are set back to the media's own."""
+            for name, table in (("int_ior", self._inside), ("ext_ior", self._outside)):
+                value = np.array(dr.detach(getattr(self, name))).ravel()
+                if value.shape != (1,) or not (np.isfinite(value) & (value > 0)).all():
+                    setattr(self, name, dr.gather(mi.Float, table, 0))
+                    raise BezierError.expected(name, "one positive number", value.tolist())
+
+        def _shifted(self, value: Any, table: Any, ior: Any) -> Any:
+            # read as a table is, so that derivatives come out of recorded loops
+            return value + (dr.gather(mi.Float, ior, 0) - dr.gather(mi.Float, table, 0))
+
+        def _pair(self, read: Any) -> list[Any]:
+            """Return indices outside and inside, of which `read` finds those of the tables."""
+            return [
+                self._shifted(read(table), table, ior)
+                for table, ior in ((self._outside, self.ext_ior), (self._inside, self.int_ior))
+            ]
+
         def _lanes(self, si: Any, front: Any) -> tuple[list[Any], list[Any], list[Any]]:
             """Return indices before and behind, and nanometres, of each wavelength or channel."""
             before: list[Any] = []
@@ -143,24 +177,23 @@ def make_dispersive_class() -> type:
                     w = si.wavelengths[k]
                     place = wavelength_place(w)
                     row = mi.UInt32(place)
-                    pair = [
-                        dr.lerp(
+                    pair = self._pair(
+                        lambda table, row=row, place=place: dr.lerp(
                             dr.gather(mi.Float, table, row + 4),
                             dr.gather(mi.Float, table, row + 5),
                             place - mi.Float(row),
                         )
-                        for table in (self._outside, self._inside)
-                    ]
+                    )
                     _append(pair, w, front, (before, behind, waves))
             elif mi.is_rgb:
                 channel, known = channel_of(si.time)
                 for k, w in enumerate(CHANNELS):
                     row = dr.select(known, channel, k) + 1
-                    pair = [dr.gather(mi.Float, t, row) for t in (self._outside, self._inside)]
+                    pair = self._pair(lambda table, row=row: dr.gather(mi.Float, table, row))
                     _append(pair, 1e3 * w, front, (before, behind, waves))
             else:
                 row = mi.UInt32(0)
-                pair = [dr.gather(mi.Float, t, row) for t in (self._outside, self._inside)]
+                pair = self._pair(lambda table: dr.gather(mi.Float, table, row))
                 _append(pair, 587.6, front, (before, behind, waves))
             return before, behind, waves
 
@@ -168,6 +201,18 @@ def make_dispersive_class() -> type:
             return f"Dispersive[{self._names[0]} in {self._names[1]}]"
 
     return Dispersive
+
+
+def _medium(props: mi.Properties, name: str, ior: str, default: str) -> Medium:
+    """Return a medium by its name, or by its index."""
+    if ior not in props:
+        return glass(str(props.get(name, default)))
+    value = props[ior]
+    if name in props:
+        raise BezierError.expected(ior, f"it or {name}, not both", f"{value} and {props[name]}")
+    if not isinstance(value, int | float) or not 0 < value < np.inf:
+        raise BezierError.expected(ior, "a positive number", repr(value))
+    return Constant(float(value), f"{value:g}")
 
 
 def _append(pair: list[Any], wave: Any, front: Any, lanes: tuple[list[Any], ...]) -> None:

@@ -39,7 +39,7 @@ PARAMETERS = {
         *("blades", "blade_rotation", "coating", "ghosts", "absorption", "glass"),
         *("to_world", "shutter_open", "shutter_close"),
     ),
-    "dispersive": ("material", "exterior", "coating"),
+    "dispersive": ("material", "exterior", "int_ior", "ext_ior", "coating"),
     "bezierpath": _PATH,
     "beziervolpath": _PATH,
     "bezieraov": ("aovs", "hide_emitters"),
