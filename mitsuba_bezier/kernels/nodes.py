@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import BezierError
-from ..leaves.bvh import NO_LEAF, Bvh, build_bvh
+from ..leaves.bvh import NO_LEAF, Bvh, bodies_apart, build_bvh, levels_for
 from .arrays import Types, upload
 from .records import Record, bits
 
@@ -59,6 +59,19 @@ _MOST_NODES = 2**25
 
 
 @dataclass
+class Bodies:
+    """What the root of the first tree has as data of the kernel: boxes of bodies that are apart.
+
+    Where a scene is mostly empty its box tells little, and 31sts of it even less: rays that pass by
+    all bodies read no node, and others not this one.
+    """
+
+    bounds: list[list[Any]]  #: as `Nodes.bounds`, of children 0, 1, ...
+    kinds: Any  #: UInt: which of them are nodes and leaves, as in a record from the bit `INNER` on
+    axes: list[Any]  #: three UInt: as in a record from the bits `AXIS` on
+
+
+@dataclass
 class Nodes:
     """Trees one after the other, on the device of one array type."""
 
@@ -70,6 +83,7 @@ class Nodes:
     single: np.ndarray  #: for each tree, whether its root is a leaf
     bounds: list[Any]  #: low and high corner of the first tree, six Floats
     root_is_leaf: Any  #: Bool, of the first tree; opaque as the bounds: data, not code
+    bodies: Bodies | None  #: of the first tree, if it has more than one
     bytes: int
 
 
@@ -86,11 +100,14 @@ def build_nodes(
     unbounded = bool((np.abs(padded) > _FAR).any())
     owner = np.zeros(len(boxes), dtype=int) if owner is None else owner
     records, slots, firsts, single = [], [], [], []
-    first = 0
+    first, bodies = 0, None
     for number in range(int(owner.max(initial=0)) + 1 if owners is None else owners):
         mine = np.flatnonzero(owner == number)
-        tree = build_bvh(padded[mine])
+        parts = _apart(padded[mine]) if number == 0 else None
+        tree = build_bvh(padded[mine], parts)
         record = _records(tree, unbounded)
+        if parts is not None:
+            bodies = _body_data(tree, record, len(parts), like)
         if len(record) > _MOST_NODES:
             raise BezierError.expected(
                 "patches", "some ten million leaves at most in one tree", f"{len(mine)} leaves"
@@ -118,7 +135,33 @@ def build_nodes(
         single=np.array(single),
         bounds=[dr.opaque(like.Float, float(x)) for x in (*low, *high)],
         root_is_leaf=dr.opaque(like.Bool, bool(single[0])),
+        bodies=bodies,
         bytes=all_records.nbytes + all_slots.nbytes,
+    )
+
+
+def _apart(boxes: np.ndarray) -> list[np.ndarray] | None:
+    """Return the bodies that are the children of a root, if they are apart and it is worthwhile.
+
+    They take a level of nodes to themselves. Walks in deep trees are slower.
+    """
+    if levels_for(len(boxes)) > _SHALLOW:
+        return None
+    parts = bodies_apart(boxes)
+    if len(parts) == 1 or 1 + max(levels_for(len(part)) for part in parts) > _SHALLOW:
+        return None
+    return parts
+
+
+def _body_data(tree: Bvh, record: np.ndarray, count: int, like: Types) -> Bodies:
+    """Return what is known of the root's children, from its record and in full."""
+    root = record[1].view(np.uint32)
+    axes = [(int(root[3 + k]) >> AXIS) & 3 for k in range(3)]
+    faces = tree.bounds[4 : 4 + count].reshape(count, 6)
+    return Bodies(
+        bounds=[[dr.opaque(like.Float, float(x)) for x in box] for box in faces],
+        kinds=dr.opaque(like.UInt, int(root[7]) >> INNER),
+        axes=[dr.opaque(like.UInt, axis) for axis in axes],
     )
 
 
@@ -180,10 +223,12 @@ def _turned(words: np.ndarray) -> np.ndarray:
 def _children(tree: Bvh, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the boxes ``(I, 4, 2, 3)`` of children and which ``(I, 4)`` are leaves and nodes.
 
-    A leaf that is an only child has a copy of its box beside it.
+    A leaf that is an only child has a copy of its box beside it, and so has a body without another.
     """
     boxes = np.zeros((len(inner), 4, 2, 3))
     is_leaf, is_inner = np.zeros((2, len(inner), 4), dtype=bool)
+    known = np.zeros(len(tree.leaf), dtype=bool)
+    known[tree.inner] = True
     for half in range(2):
         child = 2 * inner + half
         only = tree.leaf[child] != NO_LEAF
@@ -193,7 +238,9 @@ def _children(tree: Bvh, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
             deeper = 2 * child[~only] + c
             boxes[~only, 2 * half + c] = tree.bounds[deeper]
             is_leaf[~only, 2 * half + c] = tree.leaf[deeper] != NO_LEAF
-            is_inner[~only, 2 * half + c] = tree.leaf[deeper] == NO_LEAF
+            is_inner[~only, 2 * half + c] = known[deeper]
+        alone = ~(is_leaf | is_inner)[:, 2 * half + 1]
+        boxes[alone, 2 * half + 1] = boxes[alone, 2 * half]
     return boxes, is_leaf, is_inner
 
 

@@ -94,16 +94,35 @@ def prepare(ty: Types, o: list[Any], d: list[Any]) -> Slabs:
 
 def begin(ty: Types, nodes: Nodes, slabs: Slabs, t_max: Any) -> Walk:
     """Return the start of a walk through the first tree, at the end for rays that pass it by."""
+    bodies = nodes.bodies
+    if bodies is None:
+        entered = _is_entered(ty, slabs, nodes.bounds, t_max)
+        return begin_at_root(ty, nodes, nodes.root_is_leaf, entered)
+    # a step at the root, whose record is not read
+    walk = begin_at_root(ty, nodes, ty.Bool(False), ty.Bool(True))
+    count = len(bodies.bounds)
+    # the second pair, and the second of that, may not be there
+    later = [
+        ((slabs.backward >> axis) & 1) != 0 if count > needed else ty.Bool(False)
+        for axis, needed in zip(bodies.axes, (2, 1, 3))
+    ]
+    order = _order(ty, later, bodies.kinds)
+    entered = [_is_entered(ty, slabs, bounds, t_max) for bounds in bodies.bounds]
+    return _descend(ty, walk, _up(ty, walk), order, entered)
+
+
+def _is_entered(ty: Types, slabs: Slabs, bounds: list[Any], t_max: Any) -> Any:
+    """Return a mask of rays that enter a box, given by its corners."""
     enter, leave = dr.zeros(ty.Float), t_max
     for a in range(3):
-        low, high = nodes.bounds[a], nodes.bounds[3 + a]
+        low, high = bounds[a], bounds[3 + a]
         turned = slabs.rcp[a] < 0.0
         near = dr.fma(dr.select(turned, high, low), slabs.rcp[a], slabs.near[a])
         far = dr.fma(dr.select(turned, low, high), slabs.rcp_far[a], slabs.far[a])
         # one instruction each; those of dr.maximum and dr.minimum look out for NaN
         enter = dr.select(near > enter, near, enter)
         leave = dr.select(far < leave, far, leave)
-    return begin_at_root(ty, nodes, nodes.root_is_leaf, enter <= leave)
+    return enter <= leave
 
 
 def begin_at_root(ty: Types, nodes: Nodes, is_leaf: Any, active: Any) -> Walk:
@@ -182,11 +201,10 @@ def _step(bvh: BvhRays, record: SimpleNamespace, walk: Walk, t_max: Any) -> Walk
     first, to be done while these are.
     """
     ty, slabs = bvh.ty, bvh.slabs
-    none = dr.zeros(ty.UInt)
     words, units = record.children, record.units
-    node, pending, turns_back = _up(ty, walk)
+    up = _up(ty, walk)
     later = [((slabs.backward >> ((word >> AXIS) & 3)) & 1) != 0 for word in words[:3]]
-    turns, children, places, kinds = _order(ty, later, units >> INNER)
+    order = _order(ty, later, units >> INNER)
 
     # near and far faces, in the same places
     high = [(word << TURN) | (word >> (32 - TURN)) for word in words]
@@ -210,8 +228,30 @@ def _step(bvh: BvhRays, record: SimpleNamespace, walk: Walk, t_max: Any) -> Walk
                 cuts_far &= _is_finite(fars[c], a)
             enter[c] = dr.select(cuts_near, t_near, enter[c])
             leave[c] = dr.select(cuts_far, t_far, leave[c])
-    hit = [dr.select(enter[c] <= leave[c], places[c], none) for c in range(4)]
-    hits = (hit[0] | hit[1]) | (hit[2] | hit[3])
+    return _descend(ty, walk, up, order, [enter[c] <= leave[c] for c in range(4)])
+
+
+def _descend(
+    ty: Types,
+    walk: Walk,
+    up: tuple[Any, Any, Any],
+    order: tuple[Any, Any, list[Any], Any],
+    entered: list[Any],
+) -> Walk:
+    """Go down to a child, of up to four of which some are `entered`; or go up.
+
+    Parameters
+    ----------
+    up, order : tuple
+        As from `_up` and `_order`.
+    """
+    none = dr.zeros(ty.UInt)
+    node, pending, turns_back = up
+    turns, children, places, kinds = order
+    hit = [dr.select(yes, place, none) for yes, place in zip(entered, places)]
+    hits = hit[0] | hit[1]
+    if len(hit) > 2:
+        hits = hits | (hit[2] | hit[3] if len(hit) > 3 else hit[2])
     hits = hits & kinds
     inner, leaves = hits & 15, hits >> 4
     go_down = inner != 0

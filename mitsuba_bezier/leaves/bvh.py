@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["NO_LEAF", "Bvh", "build_bvh"]
+__all__ = ["NO_LEAF", "Bvh", "bodies_apart", "build_bvh", "levels_for"]
 
 #: Value of `Bvh.leaf` in nodes that are no leaves.
 NO_LEAF = 0xFFFFFFFF
@@ -23,6 +23,15 @@ _BINS = 16
 #: A BVH has room for at least this many times its leaves: with less, the heuristic would have
 #: little choice where to cut; with more, most of the room would stay empty.
 _ROOM_PER_LEAF = 1.25
+
+#: Infinite faces count as this far away when costs are compared.
+_FAR = 1e9
+
+#: Bodies are apart if their boxes together have less than this share of the surface of the box of
+#: both: more than a quarter of the rays that enter the latter pass by the former, then.
+_APART = 0.75
+#: At most as many bodies, the children of one node.
+_BODIES = 4
 
 
 @dataclass
@@ -34,27 +43,85 @@ class Bvh:
     inner: np.ndarray  #: numbers of the inner nodes, ascending
 
 
-def build_bvh(boxes: np.ndarray) -> Bvh:
+def levels_for(count: int) -> int:
+    """Return how many levels of nodes of four children there are room for, over so many leaves."""
+    return int(np.ceil(np.log2(_ROOM_PER_LEAF * count) / 2)) if count > 1 else 0
+
+
+def bodies_apart(boxes: np.ndarray) -> list[np.ndarray]:
+    """Return the boxes ``(L, 2, 3)`` as bodies far from each other.
+
+    Returns
+    -------
+    list of int arrays
+        The boxes of each, as children are in order: the pairs of them along an axis, and those of
+        a pair. A single one if they are not apart, as most are, or are unbounded.
+    """
+    bodies = [np.arange(len(boxes))]
+    if len(boxes) < 2 or not (np.abs(boxes) < _FAR).all():
+        return bodies
+    centre = boxes.mean(axis=1)
+    whole: list[np.ndarray] = []  # those that are not apart
+    while bodies and len(bodies) + len(whole) < _BODIES:
+        body = bodies.pop(0)
+        count = len(body)
+        if count < 2:
+            whole.append(body)
+            continue
+        none, member = np.zeros(1, dtype=int), np.zeros(count, dtype=int)
+        left, order = _split(boxes, centre, body, member, none, np.array([count]))
+        parts = [order[: left[0]], order[left[0] :]]
+        areas = [_area_of(boxes[part]) for part in parts]
+        if sum(areas) < _APART * _area_of(boxes[body]):
+            bodies += parts
+            bodies.sort(key=lambda part: -_area_of(boxes[part]))
+        else:
+            whole.append(body)
+    bodies = whole + bodies
+    middle = np.array([boxes[b, 0].min(axis=0) + boxes[b, 1].max(axis=0) for b in bodies])
+    order = np.argsort(middle[:, np.ptp(middle, axis=0).argmax()]).tolist()
+    for pair in range(0, len(bodies) - 1, 2):
+        a, b = order[pair : pair + 2]
+        step = middle[b] - middle[a]
+        if step[np.abs(step).argmax()] < 0.0:
+            order[pair : pair + 2] = b, a
+    return [bodies[k] for k in order]
+
+
+def build_bvh(boxes: np.ndarray, bodies: list[np.ndarray] | None = None) -> Bvh:
     """Build the BVH over boxes ``(L, 2, 3)``, whose faces may be infinite.
 
     Each leaf is one node; a single leaf is the root. Without leaves the root has no children.
+
+    Parameters
+    ----------
+    boxes : (L, 2, 3) array
+    bodies : list of int arrays, optional
+        As from `bodies_apart`, of which the nodes 4, 5, ... are the roots.
     """
     count = len(boxes)
     if count == 0:
         none = np.full(2, NO_LEAF, dtype=np.uint32)
         return Bvh(np.zeros((2, 2, 3)), none, np.zeros(0, dtype=np.int64))
+    bodies = bodies or [np.arange(count)]
+    apart = len(bodies) > 1
     # even, as nodes with four children leave out every other level
-    depth = 2 * int(np.ceil(np.log2(_ROOM_PER_LEAF * count) / 2)) if count > 1 else 0
-    total = 2 << depth
+    depth = 2 * max(levels_for(len(body)) for body in bodies)
+    total = 2 << (depth + 2 * apart)
     leaf = np.full(total, NO_LEAF, dtype=np.uint32)
     bounds = np.zeros((total, 2, 3))
     finite = np.clip(np.nan_to_num(boxes, posinf=np.inf, neginf=-np.inf), -_FAR, _FAR)
     centre = finite.mean(axis=1)
 
-    order = np.arange(count)  # leaves, sorted so that each node owns a range
-    start, stop, nodes = np.array([0]), np.array([count]), np.array([1])
+    order = np.concatenate(bodies)  # leaves, sorted so that each node owns a range
+    stop = np.cumsum([len(body) for body in bodies])
+    start, nodes = np.append(0, stop[:-1]), np.array([1])
     room = 1 << depth
     levels = []
+    if apart:
+        nodes = 4 + np.arange(len(bodies))
+        levels.append(np.unique([1, *nodes // 2]))
+        bounds[1:4] = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     while True:
         length = stop - start
         member = np.repeat(np.arange(len(nodes)), length)
@@ -81,12 +148,8 @@ def build_bvh(boxes: np.ndarray) -> Bvh:
             np.stack([middle, stop[split]], axis=1).ravel(),
         )
     inner = np.sort(np.concatenate(levels)) if levels else np.zeros(0, dtype=np.int64)
-    used = 2 * int(inner[-1]) + 2 if len(inner) else 2
+    used = max(2 * int(inner[-1]) + 2 if len(inner) else 2, 8 if apart else 2)
     return Bvh(bounds[:used], leaf[:used], inner)
-
-
-#: Infinite faces count as this far away when costs are compared.
-_FAR = 1e9
 
 
 def _split(
@@ -170,6 +233,10 @@ def _best_bins(
         best_axis = np.where(better, a, best_axis)
         best_bin = np.where(better, where, best_bin)
     return best_axis, best_bin
+
+
+def _area_of(boxes: np.ndarray) -> float:
+    return float(_area(boxes[:, 0].min(axis=0)[None], boxes[:, 1].max(axis=0)[None])[0])
 
 
 def _area(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:

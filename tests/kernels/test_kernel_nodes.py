@@ -63,6 +63,20 @@ def some_rays(count, seed, at=0.0):
 
 
 SPREAD = np.concatenate([some_boxes(60, 1), 1e4 * some_boxes(5, 2), some_boxes(40, 3, at=1e3)])
+#: Bodies far from each other: of many boxes, of one, and two that are in a row along x.
+APART = {
+    "two bodies": [some_boxes(90, 21), some_boxes(1, 22, at=[0.0, 30.0, 0.0])],
+    "three bodies": [
+        some_boxes(40, 23),
+        some_boxes(25, 24, at=[12.0, 1.0, 0.0]),
+        some_boxes(70, 25, at=[-14.0, 0.0, 2.0]),
+    ],
+    "four bodies": [
+        some_boxes(count, 26 + count, at=at)
+        for count, at in ((1, [9.0, 0, 0]), (50, [0, 9.0, 0]), (1, [0, 0, 9.0]), (7, [0, 0, -9.0]))
+    ],
+    "six bodies": [some_boxes(9, 31 + k, at=[8.0 * k * k, 0, 0]) for k in range(6)],
+}
 CASES = {
     "one": some_boxes(1, 4, 1.0),
     "two": some_boxes(2, 5, 1.0),
@@ -72,6 +86,7 @@ CASES = {
     "far off and small": some_boxes(200, 7, 1e-6) * 1e-3 + 1e4,
     "flat": some_boxes(100, 8) * [1, 1, 0],
     "the same": np.repeat(some_boxes(1, 9, 1.0), 20, axis=0),
+    **{name: np.concatenate(bodies) for name, bodies in APART.items()},
 }
 
 
@@ -112,6 +127,60 @@ def test_rays_from_afar_at_edges_of_the_box_of_all(count):
     assert np.array(walk.goes_on())[hit].all()
 
 
+@pytest.mark.parametrize("name", APART)
+def test_rays_that_pass_by_bodies_far_apart_read_no_node(name):
+    # a scene of few bodies has a large box, which says little
+    bodies = APART[name]
+    boxes = np.random.default_rng(41).permutation(np.concatenate(bodies))
+    ty = types_of(plain.Float)
+    nodes = build_nodes(boxes, ty)
+    assert len(nodes.bodies.bounds) == min(len(bodies), 4)
+    around = np.array([[b[:, 0].min(axis=0), b[:, 1].max(axis=0)] for b in bodies])
+    low, high = around[:, 0].min(axis=0), around[:, 1].max(axis=0)
+    rng = np.random.default_rng(42)
+    start, end = rng.uniform(low - 1, high + 1, (2, 3000, 3))
+    o, d = (a.astype(np.float32).astype(float) for a in (start - 20 * (end - start), end - start))
+    rays = [[ty.Float(a[:, i].astype(np.float32)) for i in range(3)] for a in (o, d)]
+    walk = begin(ty, nodes, prepare(ty, *rays), dr.full(ty.Float, np.inf, len(o)))
+    goes_on, hit = np.array(walk.goes_on()), expected(around, o, d).any(axis=1)
+    assert goes_on[hit].all() and 0.02 < hit.mean() < 0.6
+    if len(bodies) <= 4:  # not those of more, some of which share a box
+        assert goes_on.sum() <= hit.sum() + 0.002 * len(o)  # a hair is all that boxes are padded by
+
+
+def test_bodies_that_are_near_have_one_box():
+    ty = types_of(plain.Float)
+    touching = [some_boxes(50, 43), some_boxes(50, 44, at=[2.1, 0.0, 0.0])]
+    assert build_nodes(np.concatenate(touching), ty).bodies is None
+    assert build_nodes(some_boxes(1, 45), ty).bodies is None
+    unbounded = np.concatenate(APART["two bodies"])
+    unbounded[3, 1, 2] = np.inf
+    assert build_nodes(unbounded, ty).bodies is None
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("places", [(0.0, 20.0), (0.0, 20.0, 90.0), (0.0, 20.0, 90.0, 110.0)])
+def test_nearer_bodies_come_first(places, axis):
+    along = np.eye(3)[axis]
+    starts = np.array([[x, x + 0.75] for x in places]).ravel()
+    boxes = np.stack([[x * along, x * along + 0.5 * along + 0.5] for x in starts])
+    assert len(build_nodes(boxes, types_of(plain.Float)).bodies.bounds) == len(places)
+    o = np.array([0.25 - 5 * along, 0.25 + 200 * along])
+    there, back = visits(boxes, o, np.array([along, -along]))
+    assert there == list(range(len(boxes))) and back == there[::-1]
+
+
+def test_bodies_apart_do_not_make_a_tree_deep(monkeypatch):
+    boxes = np.concatenate(APART["two bodies"])
+    ty = types_of(plain.Float)
+    monkeypatch.setattr(nodes_module, "_SHALLOW", 4)  # 90 boxes fill four levels by themselves
+    nodes = build_nodes(boxes, ty)
+    assert nodes.bodies is None and not nodes.deep
+    monkeypatch.setattr(nodes_module, "_SHALLOW", 5)
+    nodes = build_nodes(boxes, ty)
+    assert nodes.bodies is not None and not nodes.deep
+
+
 def test_faces_at_infinity():
     boxes = some_boxes(50, 11)
     boxes[3, 1, 0], boxes[8, 0] = np.inf, -np.inf
@@ -148,6 +217,7 @@ def test_nearer_boxes_come_first_and_those_behind_not_at_all():
 def test_deep_trees_have_wider_states(count, monkeypatch):
     boxes = some_boxes(count, 17, 0.3)
     o, d = some_rays(200, 18)
+    monkeypatch.setattr(nodes_module, "_apart", lambda boxes: None)  # no boxes in full
     met = visits(boxes, o, d)
     monkeypatch.setattr(nodes_module, "_SHALLOW", 0)
     assert build_nodes(boxes, types_of(plain.Float)).deep
