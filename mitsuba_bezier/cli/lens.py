@@ -21,6 +21,24 @@ _DRAWINGS = {
 }
 
 
+def _check_rays(lens: Any) -> None:
+    """Raise an error if no field has a ray that arrives; what else is known has been printed."""
+    from ..errors import PrescriptionError
+    from ..optics import first_order, spot
+
+    if not math.isfinite(first_order(lens).entrance_diameter):
+        return  # nobody has said how wide the beam is
+    for field in lens.field_points():
+        try:
+            spot(lens, field)
+            return
+        except PrescriptionError:
+            continue
+    raise PrescriptionError.expected(
+        "fields", "one at least from which rays arrive", f"none of {len(lens.field_points())}"
+    )
+
+
 def add_parser(subparsers: Any) -> None:
     """Add the parser of this command."""
     parser = subparsers.add_parser(
@@ -81,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({k: v if math.isfinite(v) else None for k, v in data.items()}, indent=1))
     else:
         print(optics.report(lens))
+        _check_rays(lens)
     for name, path in outputs.items():
         if path is not None:
             optics.save_figure(drawings[name](lens), path)

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import PrescriptionError
 from ..geometry.revolution import disk_sectors
 from ..geometry.triangles import BezierTriangles
+from .checks import check_body, matrix
 from .lens import Lens
 from .paraxial import first_order
 from .patches import black_paint, clear_radii, rim_patches
@@ -34,9 +35,9 @@ def camera_frame(lens: Lens, to_world: np.ndarray | None = None, scale: float = 
     >>> (camera_frame(lens) @ [0, 0, 4, 1]).tolist()  # towards the film is against the camera's z
     [0.0, 0.0, -0.004, 1.0]
     """
-    world = np.eye(4) if to_world is None else np.asarray(to_world, float)
-    if world.shape != (4, 4) or not np.isfinite(world).all():
-        raise PrescriptionError.expected("to_world", "a finite matrix (4, 4)", world.shape)
+    world = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    if not 0 < scale < np.inf:
+        raise PrescriptionError.expected("scale", "a positive number", scale)
     frame = np.diag([-scale, scale, -scale, 1.0])
     frame[2, 3] = scale * first_order(lens).entrance_pupil
     return world @ frame
@@ -84,10 +85,13 @@ def barrel_shapes(
         raise PrescriptionError.expected(
             "film_radius", "a positive number, and a film behind the lens", film_radius
         )
-    world = np.eye(4) if to_world is None else np.asarray(to_world, float)
+    world = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    check_body(lens)
     radii, media = clear_radii(lens), lens.media()
     vertices = lens.frames()[:, 2, 3]
     glass = [i for i in range(len(lens.surfaces)) if media[i] != media[i + 1]]
+    if not glass:
+        raise PrescriptionError.expected("lens", "surfaces of glass", "none")
     rims = {i: (radii[i], vertices[i] + float(lens.surfaces[i].sag(radii[i]))) for i in glass}
     shapes: dict[str, dict[str, Any]] = {}
 

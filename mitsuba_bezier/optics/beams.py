@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import PrescriptionError
+from .checks import check_field
 from .lens import Lens
 from .paraxial import first_order, trace_paraxial
 from .trace import trace
@@ -41,6 +42,8 @@ class Spot:
 
 def pupil_grid(rings: int = 6) -> np.ndarray:
     """Return points ``(N, 2)`` of the unit disk, hexapolar: 6 i points on ring i."""
+    if not isinstance(rings, (int, np.integer)) or rings < 0:
+        raise PrescriptionError.expected("rings", "a whole number from 0 on", repr(rings))
     points = [np.zeros((1, 2))]
     for i in range(1, rings + 1):
         angle = np.arange(6 * i) / (6 * i) * 2 * np.pi
@@ -79,9 +82,13 @@ def beam(
     Raises
     ------
     PrescriptionError
-        If neither aperture nor stop give the beam a size, the entrance pupil is at infinity, or an
-        image height has no object.
+        If the field is none, neither aperture nor stop give the beam a size, the entrance pupil is
+        at infinity, or an image height has no object.
     """
+    at = check_field(lens, field)
+    p = pupil_grid() if pupil is None else np.atleast_2d(np.asarray(pupil, float))
+    if p.shape[1:] != (2,):
+        raise PrescriptionError.expected("pupil", "points (N, 2) of the unit disk", p.shape)
     data = first_order(lens)
     radius, place = data.entrance_diameter / 2, data.entrance_pupil
     if not np.isfinite(radius):
@@ -90,10 +97,8 @@ def beam(
         )
     if not np.isfinite(place):
         raise PrescriptionError("stop: expected an entrance pupil at a finite place, got infinity")
-    p = pupil_grid() if pupil is None else np.atleast_2d(np.asarray(pupil, float))
     p = lens.vignetted(field, p)
     far = not np.isfinite(lens.object_distance)
-    at = np.array(field, float)
     if lens.field_kind == "image_height":
         scale = data.focal_length if far else data.magnification
         if not (np.isfinite(scale) and scale):

@@ -22,6 +22,9 @@ FIELDS = ("angle", "object_height", "image_height")
 #: Millimetres in the units of prescriptions.
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
+#: What is larger than the sun's distance in millimetres is a slip of the pen.
+_LARGEST = 1e15
+
 #: Points from the axis to the rim at which neighbours are compared.
 _ACROSS = 65
 
@@ -76,8 +79,15 @@ def _finite(name: str, expected: str, values: Any) -> np.ndarray:
 
 
 def _surfaces(lens: Any) -> None:
+    if isinstance(lens.surfaces, str) or not hasattr(lens.surfaces, "__len__"):
+        raise PrescriptionError.expected("surfaces", "a list of Surface", repr(lens.surfaces))
     if not len(lens.surfaces):
         raise PrescriptionError.expected("surfaces", "one surface at least", "none")
+    for i, s in enumerate(lens.surfaces, start=1):
+        if not hasattr(s, "curvature"):
+            raise PrescriptionError.expected(f"surface {i}", "a Surface", repr(s))
+        _medium(f"medium of surface {i}", s.medium)
+    _medium("object_medium", lens.object_medium)
     stops = [str(i) for i, s in enumerate(lens.surfaces, start=1) if s.stop]
     if len(stops) > 1:
         raise PrescriptionError.expected("stop", "one surface", f"surfaces {', '.join(stops)}")
@@ -85,16 +95,27 @@ def _surfaces(lens: Any) -> None:
         _surface(f"of surface {i}", s)
 
 
+def _medium(name: str, medium: Any) -> None:
+    if not (hasattr(medium, "name") and hasattr(medium, "index")):
+        raise PrescriptionError.expected(
+            name, "a medium, such as optics.glass('N-BK7')", repr(medium)
+        )
+
+
 def _surface(where: str, s: Any) -> None:
     for name in ("curvature", "thickness", "conic"):
-        _finite(f"{name} {where}", "a finite number", getattr(s, name))
-    _finite(f"coefficients {where}", "finite numbers", list(s.coefficients))
+        value = _finite(f"{name} {where}", "a finite number", getattr(s, name))
+        if not abs(value) <= _LARGEST:
+            expected = f"a number up to {_LARGEST:g}"
+            raise PrescriptionError.expected(f"{name} {where}", expected, getattr(s, name))
+    if _finite(f"coefficients {where}", "finite numbers", s.coefficients).ndim != 1:
+        raise PrescriptionError.expected(f"coefficients {where}", "numbers", s.coefficients)
     for name in ("before", "after"):
-        motion = _finite(f"{name} {where}", "a finite matrix (4, 4)", getattr(s, name))
-        if motion.shape != (4, 4):
-            raise PrescriptionError.expected(
-                f"{name} {where}", "a finite matrix (4, 4)", f"one of shape {motion.shape}"
-            )
+        motion = matrix(f"{name} {where}", getattr(s, name))
+        turn = motion[:3, :3]
+        # angles of files have some six digits
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-5):
+            raise PrescriptionError.expected(f"{name} {where}", "a rigid motion", motion.tolist())
     size = _numbers(f"semi-diameter {where}", "a positive number", s.semi_diameter)
     if not size > 0:
         raise PrescriptionError.expected(f"semi-diameter {where}", "a positive number", size)
@@ -119,6 +140,8 @@ def _beams(lens: Any) -> None:
         raise PrescriptionError.expected("unit", f"one of {', '.join(UNITS)}", repr(lens.unit))
     if lens.aperture is None:
         return
+    if isinstance(lens.aperture, str) or np.shape(lens.aperture) != (2,):
+        raise PrescriptionError.expected("aperture", "a kind and a number", repr(lens.aperture))
     kind, value = lens.aperture
     if kind not in APERTURES:
         raise PrescriptionError.expected("aperture", f"one of {', '.join(APERTURES)}", repr(kind))
@@ -128,16 +151,16 @@ def _beams(lens: Any) -> None:
 
 
 def _light(lens: Any) -> None:
-    waves = _numbers("wavelengths", "positive numbers, in micrometres", list(lens.wavelengths))
-    if not len(waves) or not ((waves > 0) & (waves < np.inf)).all():
-        got = list(lens.wavelengths) or "none"
+    waves = _numbers("wavelengths", "positive numbers, in micrometres", lens.wavelengths)
+    if waves.ndim != 1 or not len(waves) or not ((waves > 0) & (waves < np.inf)).all():
+        got = lens.wavelengths if waves.size else "none"
         raise PrescriptionError.expected("wavelengths", "positive numbers, in micrometres", got)
     if lens.weights is not None:
         expected = f"{len(waves)} numbers from 0 on, not all of them 0"
-        weights = _finite("weights", expected, list(lens.weights))
-        if len(weights) != len(waves) or (weights < 0).any() or not weights.any():
-            raise PrescriptionError.expected("weights", expected, list(lens.weights))
-    if not 0 <= lens.reference < len(waves):
+        weights = _finite("weights", expected, lens.weights)
+        if weights.shape != waves.shape or (weights < 0).any() or not weights.any():
+            raise PrescriptionError.expected("weights", expected, lens.weights)
+    if lens.reference not in range(len(waves)):
         raise PrescriptionError.expected(
             "reference", f"an index below {len(waves)}", lens.reference
         )
@@ -148,22 +171,67 @@ def _fields(lens: Any) -> None:
         raise PrescriptionError.expected(
             "field_kind", f"one of {', '.join(FIELDS)}", repr(lens.field_kind)
         )
-    fields = _finite("fields", "finite pairs (x, y)", list(lens.fields))
+    fields = _finite("fields", "finite pairs (x, y)", lens.fields)
     if fields.ndim != 2 or fields.shape[1:] != (2,):
-        got = list(lens.fields) or "none"
+        got = lens.fields if fields.size else "none"
         raise PrescriptionError.expected("fields", "finite pairs (x, y), one at least", got)
-    if lens.field_kind == "angle":
-        for field in fields:
-            if not np.abs(field).max() < 90:
-                raise PrescriptionError.expected(
-                    "fields", "angles below 90 degrees", f"{field[0]:g}, {field[1]:g}"
-                )
+    for field in fields:
+        check_field(lens, field, "fields")
     if lens.vignetting is not None:
-        cuts = _finite("vignetting", "four finite numbers for each field", list(lens.vignetting))
+        cuts = _finite("vignetting", "four finite numbers for each field", lens.vignetting)
         if cuts.shape != (len(fields), 4):
             raise PrescriptionError.expected(
                 "vignetting", f"four numbers for each of {len(fields)} fields", cuts.shape
             )
+
+
+def check_field(lens: Any, field: Any, name: str = "field") -> np.ndarray:
+    """Return a field as an array, or raise an error.
+
+    Raises
+    ------
+    PrescriptionError
+        If it is no pair of finite numbers, or an angle of 90 degrees and more.
+    """
+    pair = _finite(name, "a finite pair (x, y)", field)
+    if pair.shape != (2,):
+        raise PrescriptionError.expected(name, "a finite pair (x, y)", field)
+    if lens.field_kind == "angle" and not np.abs(pair).max() < 90:
+        raise PrescriptionError.expected(
+            name, "angles below 90 degrees", f"{pair[0]:g}, {pair[1]:g}"
+        )
+    return pair
+
+
+def check_wavelength(wavelength: Any) -> np.ndarray:
+    """Return wavelengths as an array, or raise an error.
+
+    Raises
+    ------
+    PrescriptionError
+        If one is not positive and finite.
+    """
+    w = _numbers("wavelength", "a positive number of micrometres", wavelength)
+    if not ((w > 0) & (w < np.inf)).all():
+        raise PrescriptionError.expected(
+            "wavelength", "a positive number of micrometres", wavelength
+        )
+    return w
+
+
+def matrix(name: str, values: Any) -> np.ndarray:
+    """Return a finite matrix ``(4, 4)``, or raise an error.
+
+    Raises
+    ------
+    PrescriptionError
+        If it is none.
+    """
+    out = _numbers(name, "a finite matrix (4, 4)", values)
+    if out.shape != (4, 4) or not np.isfinite(out).all():
+        got = "NaN or infinity" if out.shape == (4, 4) else f"shape {out.shape}"
+        raise PrescriptionError.expected(name, "a finite matrix (4, 4)", got)
+    return out
 
 
 def crossings(lens: Any, axis_only: bool = False) -> Iterator[str]:

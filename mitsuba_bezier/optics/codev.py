@@ -132,6 +132,7 @@ def read_codev(path: str | PathLike[str]) -> Lens:
     notes: list[str] = []
     private: dict[str, Medium] = {}
     powers: list[float] = []
+    stops: list[Statement] = []
     by_radius = False
     inside = False
 
@@ -160,7 +161,10 @@ def read_codev(path: str | PathLike[str]) -> Lens:
                 elif not row.glass:
                     row.glass = word.strip("'\"")
         elif rows and key in ("STO", "STOP"):
-            rows[-1].stop = True
+            if len(words) > 1:  # S3 names a surface, wherever this stands
+                stops.append(said)
+            else:
+                rows[-1].stop = True
         elif rows and key == "CIR":
             kinds = [w.upper() for w in words[1:-1]]
             value = said.number(max(len(words) - 1, 1))
@@ -204,6 +208,10 @@ def read_codev(path: str | PathLike[str]) -> Lens:
     if len(rows) < 3:
         raise PrescriptionError(f"{path}: expected a surface between SO and SI, got none")
 
+    _mark_stops(rows, stops)
+    unit = "".join(head["DIM"].words[1:2]).upper() if "DIM" in head else "M"
+    if unit not in _UNITS:
+        raise damaged(path, f"one of {', '.join(_UNITS)} as DIM", unit, line=head["DIM"].line)
     surfaces = [_surface(row, by_radius, private, path) for row in rows[1:-1]]
     image = rows[-1]
     if image.moved:
@@ -230,14 +238,27 @@ def read_codev(path: str | PathLike[str]) -> Lens:
         aperture=_aperture(head),
         wavelengths=wavelengths,
         weights=head["WTW"].numbers() if "WTW" in head else None,
-        reference=min(max(reference, 0), len(wavelengths) - 1),
+        reference=reference,
         field_kind=kind,
         fields=fields,
         vignetting=vignetting,
         title=" ".join(title.words[1:]).strip("'\" ") if title else "",
-        unit=_UNITS.get("".join(head["DIM"].words[1:2]).upper(), "mm") if "DIM" in head else "mm",
+        unit=_UNITS[unit],
         notes=notes,
     )
+
+
+def _mark_stops(rows: list[_Row], stops: list[Statement]) -> None:
+    """Mark the stops that are named by surface, and refuse ones that no surface has."""
+    for said in stops:
+        number = re.fullmatch(r"S(\d+)", said.words[1].upper())
+        if not number or not 0 < int(number[1]) < len(rows) - 1:
+            expected = f"a stop among S1 to S{len(rows) - 2}"
+            raise damaged(said.path, expected, said.words[1], line=said.line)
+        rows[int(number[1])].stop = True
+    for row, name in ((rows[0], "SO"), (rows[-1], "SI")):
+        if row.stop:
+            raise PrescriptionError.expected("stop", "a surface between object and image", name)
 
 
 def _private_glass(name: str, powers: list[float], said: Statement) -> _Table:

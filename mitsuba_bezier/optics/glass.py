@@ -21,6 +21,11 @@ LINE_D, LINE_F, LINE_C = 0.5875618, 0.4861327, 0.6562725
 #: What the three channels of rgb variants stand for, in micrometres: about sRGB's primaries.
 CHANNELS = (0.610, 0.550, 0.465)
 
+#: No glass has a higher index; a number above is a slip of the pen.
+_HIGHEST = 10
+#: Range of Conrady's formula in micrometres, as far as it follows measured glass roughly.
+_CONRADY = (0.3, 2.5)
+
 #: Shelves of the database that hold glass, in the order in which a name without a maker is sought.
 _MAKERS = (
     "SCHOTT-optical",
@@ -82,8 +87,10 @@ class Constant:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if not 0 < self.value < np.inf:
-            raise PrescriptionError(f"index: expected a positive number, got {self.value}")
+        if not 0 < self.value <= _HIGHEST:
+            raise PrescriptionError.expected(
+                "index", f"a positive number up to {_HIGHEST}", self.value
+            )
 
     def index(self, wavelength: np.ndarray | float) -> np.ndarray:
         """Return the index, in the shape of the wavelengths."""
@@ -113,13 +120,28 @@ class Abbe:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if not (0 < self.nd < np.inf and (self.vd > 0)):
-            raise PrescriptionError(
-                f"n_d, V_d: expected positive numbers, got {self.nd} and {self.vd}"
+        if not (0 < self.nd <= _HIGHEST and self.vd > 0):
+            raise PrescriptionError.expected(
+                "n_d, V_d", f"positive numbers, n_d up to {_HIGHEST}", f"{self.nd} and {self.vd}"
             )
 
     def index(self, wavelength: np.ndarray | float) -> np.ndarray:
-        """Return indices at wavelengths in micrometres."""
+        """Return indices at wavelengths in micrometres.
+
+        Raises
+        ------
+        PrescriptionError
+            If a wavelength is far outside of those from which the formula was made.
+        """
+        w = np.atleast_1d(np.asarray(wavelength, float))
+        low, high = _CONRADY
+        inside = (w >= low) & (w <= high)
+        if not inside.all():
+            raise PrescriptionError.expected(
+                f"glass {self.name or f'{self.nd:g}:{self.vd:g}'}",
+                f"wavelengths from {low:g} to {high:g} micrometres, for which n_d and V_d hold",
+                f"{w[~inside][0]:g}",
+            )
         if not np.isfinite(self.vd) or self.nd == 1:
             return np.full(np.shape(wavelength), self.nd)
         by_dispersion, fixed = abbe_terms(wavelength)
@@ -302,9 +324,13 @@ def glass(name: str) -> Medium:
     >>> glass("517.642")
     Abbe(nd=1.517, vd=64.2, name='517.642')
     """
+    if not isinstance(name, str):
+        raise PrescriptionError.expected("glass", "a name, such as 'N-BK7'", repr(name))
     plain = _plain(name)
     if plain in ("", "AIR", "VACUUM"):
         return AIR
+    if re.search(r"(^|:)\s*-\s*[\d.]", name):  # a plain name has lost its minus
+        raise PrescriptionError.expected("glass", "a name or a positive index", repr(name.strip()))
     code = re.fullmatch(r"(\d{3})(\d{3})|(\d{3,8})\.(\d{3,8})", plain)
     if code:
         n, v = (code[1], code[2]) if code[1] else (code[3], code[4])
@@ -365,6 +391,8 @@ def absorbing(medium: Medium, scale: float = 1e-3) -> dict[str, Any]:
     >>> absorbing(Constant(1.5))["sigma_t"]["value"]
     [0.0, 0.0, 0.0]
     """
+    if not 0 < scale < np.inf:
+        raise PrescriptionError.expected("scale", "a positive number", scale)
     rates = absorption(medium, np.array(CHANNELS)) / scale
     sigma = {"type": "rgb", "value": [float(rate) for rate in rates]}
     return {"type": "homogeneous", "albedo": 0.0, "sigma_t": sigma}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import PrescriptionError
-from .checks import UNITS, check_lens, crossings
+from .checks import UNITS, check_lens, check_wavelength, crossings
 from .glass import AIR, Medium
 
 
@@ -217,7 +217,8 @@ class Lens:
 
     def indices(self, wavelength: float) -> np.ndarray:
         """Return refractive indices ``(S + 1,)`` before the first surface and behind each."""
-        return np.array([float(m.index(wavelength)) for m in self.media()])
+        w = float(check_wavelength(wavelength))
+        return np.array([float(m.index(w)) for m in self.media()])
 
     def directions(self) -> np.ndarray:
         """Return 1 or -1, ``(S + 1,)``: along or against the axis before and behind each."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import PrescriptionError
 from .beams import beam
+from .checks import check_field
 from .lens import Lens
 from .paraxial import first_order
 from .trace import trace
@@ -125,7 +126,7 @@ def arrivals(
     """
     points, areas = pupil_quadrature() if pupil is None else pupil
     given = lens.spectrum() if wavelength is None else [(wavelength, 1.0)]
-    along = direction(field)
+    along = direction(tuple(check_field(lens, field)))
     turn = np.array([along, [along[1], -along[0]]]).T
     frame = lens.frames()[-1][:3, :3]
     found = []

@@ -12,7 +12,8 @@ from ..geometry.revolution import band, cap, disk_sectors
 from ..geometry.tensor import tensor_to_triangles
 from ..geometry.triangles import BezierTriangles
 from .beams import used_semi_diameters
-from .checks import check_body
+from .checks import check_body, matrix
+from .coatings import coating as films
 from .glass import spelled
 from .lens import Lens, Surface
 
@@ -104,7 +105,7 @@ def surface_shape(
     >>> surface_shape(Surface(1 / 50, semi_diameter=10, coefficients=(0, 1e-6)))["type"]
     'asphere'
     """
-    frame = np.eye(4) if to_world is None else np.asarray(to_world, float)
+    frame = np.eye(4) if to_world is None else matrix("to_world", to_world)
     if surface.is_conic:
         net = surface_patches(surface, semi_diameter).transform(frame)
         return {"type": "beziertriangle", "control_points": net}
@@ -225,7 +226,8 @@ def lens_shapes(
     ['edge-1', 'surface-1', 'surface-2']
     """
     w = lens.wavelengths[lens.reference] if wavelength is None else wavelength
-    world = np.eye(4) if to_world is None else np.asarray(to_world, float)
+    world = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    films(coating)  # an error, if there are no such films
     n, radii, media = lens.indices(w), clear_radii(lens), lens.media()
     frames = world @ lens.frames()
     check_body(lens)
@@ -253,9 +255,9 @@ def lens_shapes(
                 outer, inner = (media[k] for k in sides)
                 bsdf = {"type": "dielectric", "int_ior": n[sides[1]], "ext_ior": n[sides[0]]}
                 if dispersion or coating != "none":
-                    films = coating if min(n[i], n[i + 1]) < 1.01 else "none"
+                    layers = coating if min(n[i], n[i + 1]) < 1.01 else "none"
                     bsdf = {"type": "dispersive", "material": spelled(inner)}
-                    bsdf |= {"exterior": spelled(outer), "coating": films}
+                    bsdf |= {"exterior": spelled(outer), "coating": layers}
                     if not dispersion:
                         bsdf |= {"material": f"{n[sides[1]]:.9f}", "exterior": f"{n[sides[0]]:.9f}"}
                 add_surface(i, bsdf)

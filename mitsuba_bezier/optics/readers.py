@@ -6,7 +6,7 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
-from ..errors import FileFormatError
+from ..errors import FileFormatError, PrescriptionError
 from .checks import check_body
 from .codev import read_codev
 from .lens import Lens
@@ -37,11 +37,17 @@ def load(path: str | PathLike[str]) -> Lens:
     PrescriptionError
         If the lens has what is not followed, a glass that is not known, or is impossible.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = Path(path).suffix.lower() if isinstance(path, (str, PathLike)) else ""
     if suffix not in READERS:
         raise FileFormatError.expected(
             "path", f"a prescription ({', '.join(READERS)})", f"{str(path)!r}"
         )
-    lens = READERS[suffix](path)
-    check_body(lens)
+    try:
+        lens = READERS[suffix](path)
+        check_body(lens)
+    except PrescriptionError as error:
+        told = str(error)
+        if told.startswith(str(path)):
+            raise
+        raise PrescriptionError(f"{path}: {told}") from None
     return lens

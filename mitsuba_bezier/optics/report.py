@@ -82,5 +82,8 @@ def report(lens: Lens) -> str:
         )
         head = (f"field ({kind})", "spot rms", "arrive", "distortion")
         out += ["", *_aligned([head, *lines])]
-    out += [f"note: {note}" for note in [*lens.notes, *lens.crossings()]]
+    notes = [*lens.notes, *lens.crossings()]
+    if not any(s.stop for s in lens.surfaces):
+        notes.append("no surface is marked as the stop: the first one is taken")
+    out += [f"note: {note}" for note in notes]
     return "\n".join(out)

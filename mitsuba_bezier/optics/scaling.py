@@ -48,12 +48,14 @@ def stopped_down(lens: Lens, f_number: float) -> Lens:
     Raises
     ------
     PrescriptionError
-        If no surface is marked as the stop.
+        If no surface is marked as the stop, or the f-number is below 0.5.
     """
     if not any(s.stop for s in lens.surfaces):
         raise PrescriptionError("stop: expected a surface that is the stop, got none")
     if not 0 < f_number < np.inf:
         raise PrescriptionError(f"f_number: expected a positive number, got {f_number}")
+    if f_number < 0.5:  # light would have to come from behind the film
+        raise PrescriptionError.expected("f_number", "at least 0.5, as lenses in air", f_number)
     size = first_order(replace(lens, aperture=("f_number", f_number))).stop_semi_diameter
     surfaces = [replace(s, semi_diameter=size) if s.stop else s for s in lens.surfaces]
     return replace(lens, surfaces=surfaces, aperture=("f_number", f_number))

@@ -49,11 +49,23 @@ def _number(text: str, where: str, name: str) -> float:
     if word in ("inf", "infinity", "∞", "plano", "flat"):
         return np.inf
     try:
-        return float(word)
+        value = float(word)
+        if value != value:
+            raise ValueError
+        return value
     except ValueError:
         raise FileFormatError(
             f"{where}: expected a number as {name}, got {text.strip()!r}"
         ) from None
+
+
+def _model(nd: float, vd: float | None) -> Medium:
+    """Return the medium of an index, or of n_d and V_d; 1 is air."""
+    if not nd >= 1:
+        raise PrescriptionError.expected("nd", "an index from 1 on", nd)
+    if nd == 1:
+        return AIR
+    return Constant(nd) if vd is None else Abbe(nd, vd)
 
 
 def read_csv(path: str | PathLike[str]) -> Lens:
@@ -78,14 +90,20 @@ def read_csv(path: str | PathLike[str]) -> Lens:
     for count, line in enumerate(lines, start=1):
         if line.lstrip().startswith("#"):
             key, mark, value = line.lstrip("# ").partition(":")
-            if mark and key.strip().lower() in _SETTINGS:
-                settings[key.strip().lower()] = value.strip()
+            key = key.strip().lower().replace(" ", "_")
+            near = difflib.get_close_matches(key, _SETTINGS, n=1, cutoff=0.8)
+            if mark and key in _SETTINGS:
+                settings[key] = value.strip()
+            elif mark and near:  # else a comment
+                raise damaged(path, f"'# {near[0]}: ...'", f"'# {key}: ...'", line=count)
         elif line.strip():
             body.append((count, line))
     if not body:
         raise damaged(path, "a header and rows of surfaces", "an empty table")
     names = {name: column for column, all_ in COLUMNS.items() for name in all_}
-    header = [cell.strip().lower() for cell in next(csv.reader([body[0][1]]))]
+    # what spreadsheets of other countries put between cells
+    between = max(",;\t", key=body[0][1].count)
+    header = [cell.strip().lower() for cell in next(csv.reader([body[0][1]], delimiter=between))]
     columns: list[str | int] = []
     for cell in header:
         if cell in names:
@@ -99,9 +117,14 @@ def read_csv(path: str | PathLike[str]) -> Lens:
             raise damaged(path, expected, f"{cell!r}{hint}", line=body[0][0])
     if "thickness" not in columns or not {"radius", "curvature"} & set(map(str, columns)):
         raise damaged(path, "columns radius and thickness", ", ".join(header), line=body[0][0])
+    for at, column in enumerate(columns):
+        if column in columns[:at]:
+            raise damaged(path, "each column once", f"{header[at]!r} twice", line=body[0][0])
+    if len(body) < 2:
+        raise damaged(path, "rows of surfaces", "a header only")
     surfaces = []
     for count, line in body[1:]:
-        cells = next(csv.reader([line]))
+        cells = next(csv.reader([line], delimiter=between))
         if len(cells) > len(columns):
             raise damaged(path, f"{len(columns)} cells", len(cells), line=count)
         row = {c: cell.strip() for c, cell in zip(columns, cells) if cell.strip()}
@@ -123,8 +146,10 @@ def _surface(row: dict[str | int, str], where: str) -> Surface:
     try:
         if "glass" in row and not mirror:
             medium = glass(row["glass"])
-        elif "nd" in row and get("nd") > 1:
-            medium = Abbe(get("nd"), get("vd")) if "vd" in row else Constant(get("nd"))
+        elif "nd" in row:
+            medium = _model(get("nd"), get("vd") if "vd" in row else None)
+        elif "vd" in row and not mirror:
+            raise PrescriptionError.expected("nd", "an index beside V_d", "none")
     except PrescriptionError as error:
         raise PrescriptionError(f"{where}: {error}") from None
     powers = sorted(k for k in row if isinstance(k, int))
@@ -142,9 +167,18 @@ def _surface(row: dict[str | int, str], where: str) -> Surface:
         conic=get("conic"),
         coefficients=tuple(coefficients) if any(coefficients) else (),
         mirror=mirror,
-        stop=row.get("stop", "").lower() in ("1", "yes", "true", "stop", "x", "*"),
+        stop=_yes(row.get("stop", ""), where),
         label=row.get("label", ""),
     )
+
+
+def _yes(word: str, where: str) -> bool:
+    """Return what a cell of the column `stop` says."""
+    if word.lower() in ("1", "yes", "true", "stop", "x", "*"):
+        return True
+    if word.lower() in ("", "0", "no", "false", "-"):
+        return False
+    raise FileFormatError(f"{where}: expected yes, no or nothing as stop, got {word!r}")
 
 
 def _lens(surfaces: list[Surface], settings: dict[str, str], path: str | PathLike[str]) -> Lens:
@@ -166,7 +200,8 @@ def _lens(surfaces: list[Surface], settings: dict[str, str], path: str | PathLik
         for w in settings.get("fields", "0").replace(",", " ").split()
     ]
     reference = _number(settings.get("reference", "1"), where, "reference")
-    if not 1 <= reference < np.inf:  # how many there are is checked by the lens
+    if not (1 <= reference < np.inf and reference == int(reference)):
+        # how many there are is checked by the lens
         raise damaged(path, "a reference from 1 on", settings["reference"])
     return Lens(
         surfaces,
@@ -202,15 +237,21 @@ def read_pbrt(path: str | PathLike[str]) -> Lens:
             raise damaged(path, expected, f"{len(words)} words", line=count)
         where = f"{path}, line {count}"
         radius, thickness, n, diameter = (_number(w, where, "cell") for w in words)
+        try:  # the row of the stop has no index
+            medium = _model(n or 1.0, None)
+        except PrescriptionError as error:
+            raise PrescriptionError(f"{where}: {error}") from None
         surfaces.append(
             Surface(
                 curvature=1 / radius if radius else 0.0,
                 thickness=thickness,
-                medium=Constant(n) if n > 1 else AIR,
+                medium=medium,
                 semi_diameter=diameter / 2 if diameter else np.inf,
                 stop=radius == 0 and not any(s.stop for s in surfaces),
             )
         )
     if not surfaces:
         raise damaged(path, "rows of four numbers", "none")
+    if not any(s.stop for s in surfaces):
+        raise damaged(path, "a row of radius 0, which is the stop", "none")
     return Lens(surfaces, aperture=("stop", 0.0))

@@ -68,7 +68,10 @@ class Statement:
         if at >= len(self.words) and default is not None:
             return default
         try:
-            return float(self.words[at])
+            value = float(self.words[at])
+            if value != value:
+                raise ValueError
+            return value
         except (IndexError, ValueError):
             got = self.words[at] if at < len(self.words) else "nothing"
             expected = f"a number as word {at + 1} of {self.key}"

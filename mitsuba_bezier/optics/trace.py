@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import PrescriptionError
+from .checks import check_wavelength
 from .lens import Lens, Surface
 
 #: Newton steps on an asphere; from the conic's hit some five suffice.
@@ -135,7 +136,7 @@ def trace(
     Raises
     ------
     PrescriptionError
-        If the arrays are not ``(N, 3)`` and of one length.
+        If the arrays are not ``(N, 3)`` and of one length, or a direction is 0.
 
     Examples
     --------
@@ -150,9 +151,16 @@ def trace(
         raise PrescriptionError(
             f"origins, directions: expected two arrays (N, 3), got {o.shape} and {d.shape}"
         )
-    d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    w = lens.wavelengths[lens.reference] if wavelength is None else wavelength
-    w = np.broadcast_to(np.asarray(w, float), len(o))
+    length = np.linalg.norm(d, axis=1, keepdims=True)
+    if (length == 0).any() or np.isinf(length).any():
+        raise PrescriptionError.expected("directions", "finite ones that are not 0", d.tolist())
+    d = d / length
+    w = check_wavelength(lens.wavelengths[lens.reference] if wavelength is None else wavelength)
+    if w.shape not in ((), (1,), (len(o),)):
+        raise PrescriptionError.expected(
+            "wavelength", f"one, or one for each of {len(o)} rays", f"shape {w.shape}"
+        )
+    w = np.broadcast_to(w, len(o))
     index = np.array([np.broadcast_to(m.index(w), len(o)) for m in lens.media()])
 
     frames = lens.frames()

@@ -58,6 +58,7 @@ class _Row:
     inner: float = 0.0
     outer: float = 0.0
     stop: bool = False
+    cut: bool = True  # its thickness is missing
     comment: str = ""
     parameters: dict[int, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -92,6 +93,8 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
         key = words[0]
         said = Statement(path, count, words)
         if key == "SURF":
+            if said.whole(1) != len(rows):
+                raise damaged(path, f"SURF {len(rows)}", " ".join(words[:2]), line=count)
             rows.append(_Row())
             continue
         row = rows[-1] if rows and line[:1].isspace() else None
@@ -110,12 +113,15 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
             row.curvature = said.number(1)
         elif key == "DISZ":
             row.thickness = np.inf if words[1:2] == ["INFINITY"] else said.number(1)
+            row.cut = False
         elif key == "GLAS":
             row.glass = words[1:]
         elif key == "CONI":
             row.conic = said.number(1)
         elif key == "DIAM":
             row.diameter = said.number(1)
+            if row.diameter < 0:
+                raise damaged(path, "a semi-diameter from 0 on", f"{words[1]}", line=count)
         elif key in ("CLAP", "FLAP"):
             row.inner, row.outer = said.number(1), said.number(2)
         elif key == "OBSC":
@@ -131,7 +137,18 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
         elif key not in _SILENT:
             row.notes.append(f"{key} is not followed")
 
-    unit = _words(head, "UNIT")[:1]
+    if len(rows) < 3:
+        raise damaged(path, "an object, surfaces and an image (SURF)", f"{len(rows)} of them")
+    if rows[-1].glass or (rows[-1].cut and not text.endswith("\n")):
+        raise damaged(path, "an image behind the last surface", "a file that is cut off")
+    for number in (0, len(rows) - 1):
+        if rows[number].stop:
+            raise PrescriptionError.expected(
+                "stop", "a surface between object and image", f"SURF {number}"
+            )
+    unit = "".join(_words(head, "UNIT")[:1]).upper() or "MM"
+    if unit not in _UNITS:
+        raise damaged(path, f"one of {', '.join(_UNITS)} as UNIT", unit, line=head["UNIT"].line)
     wavelengths, weights, reference = _wavelengths(head, waves)
     kind, fields = _fields(head)
     factors = columns(head, ("VDXN", "VDYN", "VCXN", "VCYN"), len(fields))
@@ -148,7 +165,7 @@ def read_zemax(path: str | PathLike[str]) -> Lens:
         fields=fields,
         vignetting=list(zip(*factors)),
         title=" ".join(_words(head, "NAME")),
-        unit=_UNITS.get(unit[0].upper(), "mm") if unit else "mm",
+        unit=_UNITS[unit],
         notes=notes,
     )
 
@@ -238,7 +255,7 @@ def _surfaces(rows: list[_Row], path: str | PathLike[str], notes: list[str]) -> 
 def _aperture(head: dict[str, Statement]) -> tuple[str, float] | None:
     for key, kind in (("ENPD", "diameter"), ("FNUM", "f_number"), ("OBNA", "object_na")):
         value = head[key].number(1, 0.0) if key in head else 0.0
-        if value > 0:
+        if value:
             return kind, value
     return ("stop", 0.0) if "FLOA" in head else None
 
@@ -258,10 +275,10 @@ def _wavelengths(
     elif "WAVL" in head:
         values = head["WAVL"].numbers()
         weights = head["WWGT"].numbers() if "WWGT" in head else []
-        weights = weights or [1.0] * len(values)
+        weights = (weights + [1.0] * len(values))[: len(values)]
     else:
         values, weights = [0.5875618], [1.0]
-    return values, weights, min(max(primary - 1, 0), len(values) - 1)
+    return values, weights, max(primary - 1, 0)
 
 
 def _fields(head: dict[str, Statement]) -> tuple[str, list[tuple[float, float]]]:

