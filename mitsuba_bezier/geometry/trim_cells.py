@@ -12,7 +12,8 @@ as the point's g is further off than what is left of f.
 A *cell* is a part of a patch's parameters, the whole patch or one leaf, with the pieces that
 come near it. Pieces to its left cross no ray towards larger s; of those to its right only the
 heights matter at which the number of crossings changes. A leaf without pieces is inside or
-outside as a whole.
+outside as a whole. Where pieces are many, as on a face with holes that is one leaf, a cell is cut
+into a grid, and each of its squares has a list of its own.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from .trims import Trims
 __all__ = [
     "CELL",
     "HEAD",
+    "LIST",
     "SLACK",
     "TrimCells",
     "UntrimmedParts",
@@ -39,9 +41,14 @@ __all__ = [
 #: square: neighbours that share the curve overlap by that, so nothing leaks between them. Ten
 #: roundings of float32.
 SLACK = 1e-6
-#: Numbers in a cell: M 6, tan(arc/4) and 2/arc for s and t, first piece, number of pieces, 1 if
-#: an odd number of curves passes to the right of all pieces at the foot of the cell.
+#: Numbers in a cell: M 6, tan(arc/4) and 2/arc for s and t, first list, squares along a side of
+#: its grid, least s, squares over length of s, and the same of t.
 CELL = 16
+#: Numbers in a list: first piece, number of pieces, 1 if an odd number of curves passes to the
+#: right of all pieces at the foot of its square.
+LIST = 4
+#: So many pieces are looked through one by one; of more there is a grid, of twice as many squares.
+_FEW, _SIDE = 2, 24
 #: Numbers of a piece before its coefficients: t0, t1, least and largest s, sigma, f and g at both
 #: ends.
 HEAD = 9
@@ -58,6 +65,7 @@ class TrimCells:
     """Tables for `kernels.trim`; the cells 0 .. P-1 are the whole patches."""
 
     cells: np.ndarray  #: (C, CELL)
+    lists: np.ndarray  #: (K, LIST); the first one has no piece, and everything is inside
     pieces: np.ndarray  #: (N, HEAD + 3 (degree + 1)): head, then f, g, w of each coefficient
     degree: int
     arcs: bool  #: whether any cell has one
@@ -213,10 +221,15 @@ def _placed(region: _Pieces, place: np.ndarray) -> _Pieces:
     )
 
 
-def _changes(heights: np.ndarray) -> np.ndarray:
-    """Return the heights that occur an odd number of times."""
-    values, counts = np.unique(heights, return_counts=True)
-    return values[counts % 2 == 1]
+def _changes(owner: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the heights that an owner has an odd number of times, with their owners, in order."""
+    order = np.lexsort((heights, owner))
+    owner, heights = owner[order], heights[order]
+    new = np.ones(len(owner), dtype=bool)
+    new[1:] = (owner[1:] != owner[:-1]) | (heights[1:] != heights[:-1])
+    starts = np.flatnonzero(new)
+    odd = starts[np.diff(np.append(starts, len(owner))) % 2 == 1]
+    return owner[odd], heights[odd]
 
 
 class _Builder:
@@ -236,37 +249,67 @@ class _Builder:
         self.trims = trims
         self.rows: list[np.ndarray] = []
         self.row_count = 0
+        self.lists: list[np.ndarray] = [np.array([[0.0, 0.0, 1.0, 0.0]])]
+        self.list_count = 1
 
-    def add(self, pieces: _Pieces, boxes: np.ndarray) -> tuple[np.ndarray, ...]:
+    def add(self, pieces: _Pieces, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Enter the pieces near boxes ``(L, 2, 2)`` of lower and upper corners.
 
         Returns
         -------
-        first, count, base : (L,) arrays
+        grids : (L, 6) array
+            The last part of a cell, with the number of its first list.
+        kind : (L,) int array
+            -1 if nothing of a box is left, 1 if all of it is, 0 if points have to be looked at.
         """
+        near, _inner, _base = pieces.around(boxes)
+        number = near.sum(axis=1)
+        side = (
+            np.where(number > _FEW, np.ceil(1.5 * np.sqrt(number)), 1).astype(int).clip(max=_SIDE)
+        )
+        low, size = boxes[:, 0], boxes[:, 1] - boxes[:, 0]
+        owner = np.repeat(np.arange(len(boxes)), side**2)
+        ends = np.cumsum(side**2)
+        place = np.arange(len(owner)) - (ends - side**2)[owner]
+        step = size[owner] / side[owner, None]
+        corner = low[owner] + step * np.stack([place % side[owner], place // side[owner]], axis=1)
+        # a hit may be taken for one of the square beside its own, by rounding
+        pad = np.where(side[owner] > 1, _MARGIN[1], 0.0)[:, None]
+        squares = np.stack([corner - pad, corner + step + pad], axis=1)
+        first = self.list_count
+        # some million of comparisons at once, so that little memory is needed
+        count = max(1, 4_000_000 // max(1, len(pieces.ends)))
+        parts = range(0, len(squares), count)
+        lists = [self._lists(pieces, squares[k : k + count]) for k in parts]
+        last = np.concatenate([np.zeros((0, LIST)), *lists])[ends - 1]
+        grids = np.zeros((len(boxes), 6))
+        grids[:, 0], grids[:, 1] = first + ends - side**2, side
+        grids[:, 2::2], grids[:, 3::2] = low, side[:, None] / size
+        plain = (side == 1) & (last[:, 1] == 0)
+        return grids, np.where(plain, np.where(last[:, 2] == 1, 1, -1), 0)
+
+    def _lists(self, pieces: _Pieces, boxes: np.ndarray) -> np.ndarray:
         near, inner, base = pieces.around(boxes)
-        t0, t1 = boxes[:, 0, 1:], boxes[:, 1, 1:]
+        t0, t1 = boxes[:, 0, 1], boxes[:, 1, 1]
         owner, row = np.nonzero(near)
-        steps_owner: list[int] = []
-        steps: list[float] = []
-        for k in np.flatnonzero(inner.any(axis=1)).tolist():
-            heights = pieces.t[inner[k]].ravel()
-            found = _changes(heights[(heights > t0[k]) & (heights <= t1[k])])
-            steps += found.tolist()
-            steps_owner += [k] * len(found)
-        table = [pieces.rows()]
-        if steps:
-            extra = np.zeros((len(steps), table[0].shape[1]))
-            extra[:, 0], extra[:, 1:4], extra[:, 4] = steps, _FAR, 1.0
-            table.append(extra)
-            owner = np.concatenate([owner, steps_owner])
-            row = np.concatenate([row, len(pieces.ends) + np.arange(len(steps))])
+        of, k = np.nonzero(inner)
+        heights, of = pieces.t[k].ravel(), np.repeat(of, 2)
+        within = (heights > t0[of]) & (heights <= t1[of])
+        steps_owner, steps = _changes(of[within], heights[within])
+        extra = np.zeros((len(steps), HEAD + 3 * (self.degree + 1)))
+        extra[:, 0], extra[:, 1:4], extra[:, 4] = steps, _FAR, 1.0
+        owner = np.concatenate([owner, steps_owner])
+        row = np.concatenate([row, len(pieces.ends) + np.arange(len(steps))])
         order = np.argsort(owner, kind="stable")
-        count = np.bincount(owner.astype(int), minlength=len(boxes))
-        first = self.row_count + np.concatenate([[0], np.cumsum(count)[:-1]])
-        self.rows.append(np.concatenate(table)[row[order]])
+        lists = np.zeros((len(boxes), LIST))
+        lists[:, 1] = np.bincount(owner, minlength=len(boxes))
+        lists[:, 0] = self.row_count + np.cumsum(lists[:, 1]) - lists[:, 1]
+        lists[:, 2] = base
+        self.lists.append(lists)
+        self.list_count += len(lists)
+        self.rows.append(np.concatenate([pieces.rows(), extra])[row[order]])
         self.row_count += len(order)
-        return first, count, base
+        return lists
 
     def head(self, patch: int) -> np.ndarray:
         """Return the part of a cell that says how ``(u, v)`` are mapped."""
@@ -346,35 +389,39 @@ def trim_cells(
     count = len(trims)
     builder = _Builder(trims)
     cells = np.zeros((count, CELL))
-    cells[:, 12] = 1.0  # whole patches: everything is inside
+    cells[:, 11] = 1.0  # whole patches: the first list
     more: list[np.ndarray] = []
     cell, keep = np.full(len(patch), -1), np.ones(len(patch), dtype=bool)
     order = np.argsort(patch, kind="stable")
     bounds = np.searchsorted(patch[order], np.arange(count + 1))
-    pad = _MARGIN[1] + SLACK
+    pad = _MARGIN[0] + _MARGIN[1] + SLACK
     unit_square = np.array([[[-pad, -pad], [1 + pad, 1 + pad]]])
     used = count
     for p in np.flatnonzero(trims.region >= 0).tolist():
         pieces = _placed(builder.regions[int(trims.region[p])], trims.place[p])
         head = builder.head(p)
-        first, number, base = builder.add(pieces, unit_square)
-        cells[p] = head
-        cells[p, 10:13] = first[0], number[0], base[0]
         mine = order[bounds[p] : bounds[p + 1]]
-        if not len(mine):
-            continue
-        first, number, base = builder.add(pieces, _boxes(trims, p, corners[mine]))
-        test = number > 0
-        keep[mine] = test | (base == 1)
-        cell[mine[test]] = used + np.arange(test.sum())
+        boxes = _boxes(trims, p, corners[mine])
+        whole = (boxes[:, 0] <= 0).all(axis=1) & (boxes[:, 1] >= 1).all(axis=1)
+        parts = np.flatnonzero(~whole)
+        grids, kind = builder.add(pieces, np.concatenate([unit_square, boxes[parts]]))
+        cells[p] = head
+        cells[p, 10:] = grids[0]
+        # a leaf that is all of its patch has the cell of this
+        cell[mine[whole]] = p if kind[0] == 0 else -1
+        keep[mine[whole]] = kind[0] >= 0
+        test = kind[1:] == 0
+        keep[mine[parts]] = kind[1:] >= 0
+        cell[mine[parts[test]]] = used + np.arange(test.sum())
         used += int(test.sum())
         rows = np.tile(head, (int(test.sum()), 1))
-        rows[:, 10], rows[:, 11], rows[:, 12] = first[test], number[test], base[test]
+        rows[:, 10:] = grids[1:][test]
         more.append(rows)
     width = HEAD + 3 * (builder.degree + 1)
     tables = [r for r in builder.rows if len(r)]
     found = TrimCells(
         np.concatenate([cells, *more]),
+        np.concatenate(builder.lists),
         np.concatenate(tables) if tables else np.zeros((0, width)),
         builder.degree,
         bool((trims.arc > 0).any()),

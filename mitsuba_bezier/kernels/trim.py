@@ -13,7 +13,7 @@ from typing import Any
 import drjit as dr
 
 from ..geometry.trim_cells import CELL, HEAD, SLACK
-from .arrays import Types, gather_packets, reciprocal, types_of
+from .arrays import Types, gather_packets, gather_row, reciprocal, types_of
 from .structure import DOMAIN, Structure
 from .trim_table import TrimTable
 
@@ -49,7 +49,13 @@ def keep(table: TrimTable, cell: Any, u: Any, v: Any, active: Any = True) -> Any
     if table.arcs:
         s, t = _from_arc(s, c[6], c[7]), _from_arc(t, c[8], c[9])
     s, t = dr.clip(s, 0.0, 1.0), dr.clip(t, 0.0, 1.0)
-    first, count, base = (dr.reinterpret_array(ty.UInt, c[k]) for k in (10, 11, 12))
+    place, side = (dr.reinterpret_array(ty.UInt, c[k]) for k in (10, 11))
+    column, row = (
+        dr.minimum(ty.UInt(dr.maximum((x - low) * scale, 0.0)), side - 1)
+        for x, low, scale in ((s, c[12], c[13]), (t, c[14], c[15]))
+    )
+    numbers = gather_row(table.lists, place + row * side + column, active)
+    first, count, base = (dr.reinterpret_array(ty.UInt, x) for x in numbers[:3])
     last = first + count
 
     def body(run: Any, k: Any, inside: Any, near: Any) -> Any:

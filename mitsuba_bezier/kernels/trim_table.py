@@ -18,6 +18,7 @@ class TrimTable:
     """The tables of `TrimCells` on the device of one array type."""
 
     cells: Any  #: Float32, x `CELL`
+    lists: Any  #: Float32, x `LIST`
     heads: Any  #: Float32, x 16
     curves: Any  #: Float32, x 3 (degree + 1), padded to packets of eight
     degree: int
@@ -29,7 +30,7 @@ def build_table(found: TrimCells, like: Any) -> TrimTable:
     """Pack `found` for the array types of `like` (a Dr.Jit float array or type)."""
     ty = types_of(like)
     cells = found.cells.astype(np.float32)
-    cells[:, 10:13] = found.cells[:, 10:13].astype(np.uint32).view(np.float32)
+    cells[:, 10:12] = found.cells[:, 10:12].astype(np.uint32).view(np.float32)
     pieces = found.pieces if len(found.pieces) else np.zeros((1, found.pieces.shape[1]))
     heads = np.zeros((len(pieces), 16), dtype=np.float32)
     heads[:, :HEAD] = pieces[:, :HEAD]
@@ -38,9 +39,10 @@ def build_table(found: TrimCells, like: Any) -> TrimTable:
     curves[:, :width] = pieces[:, HEAD:]
     return TrimTable(
         cells=upload(ty.Float32, cells),
+        lists=upload(ty.Float32, found.lists.astype(np.uint32).view(np.float32)),
         heads=upload(ty.Float32, heads),
         curves=upload(ty.Float32, curves),
         degree=found.degree,
         arcs=found.arcs,
-        bytes=cells.nbytes + heads.nbytes + curves.nbytes,
+        bytes=cells.nbytes + 4 * found.lists.size + heads.nbytes + curves.nbytes,
     )

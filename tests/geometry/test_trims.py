@@ -327,3 +327,29 @@ def test_leaves_of_whole_patches_need_no_test():
     owner, corners = leaves(3, 2)
     cells, cell, keeps = trim_cells(trims, owner, corners)
     assert (cell == -1).all() and keeps.all() and len(cells.pieces) == 0
+
+
+def test_a_face_with_many_holes_has_short_lists():
+    """A plate of 144 holes that is one leaf: a point looks at the pieces of its own square."""
+    rng = np.random.default_rng(11)
+    centers = (np.stack(np.meshgrid(*[np.arange(12)] * 2), axis=-1).reshape(-1, 2) + 0.5) / 12
+    radius = 0.03
+    plate = SQUARE + [c[::-1] for center in centers for c in circle(center, radius)]
+    corners = np.array([[[1, 0], [0, 1], [0, 0]]], float)
+    cells, cell, kept = trim_cells(whole([plate]), np.array([0]), corners)
+    assert cell.tolist() == [0] and kept.all()  # no second table of the same
+    first, side = cells.cells[0, 10:12].astype(int)
+    lists = cells.lists[first : first + side**2, 1]
+    # 1156 pieces of four quarters a circle, cut where they turn: a square of the 24 x 24 has one
+    # quarter, or two beside each other, and heights at which the number on its right changes
+    assert len(lists) == 576 and 1 <= lists.max() <= 8
+
+    table = build_table(cells, mi.Float)
+    uv = rng.random((200_000, 2))
+    uv[:50_000, 0] = np.rint(24 * uv[:50_000, 0]) / 24  # on lines of the grid, nearly
+    uv[50_000:100_000, 1] = np.rint(24 * uv[50_000:100_000, 1]) / 24
+    uv = uv.astype(np.float32).astype(float)
+    got = keep(table, mi.UInt32(np.zeros(len(uv), int)), mi.Float(uv[:, 0]), mi.Float(uv[:, 1]))
+    off = np.linalg.norm(uv[:, None] - centers, axis=2).min(axis=1) - radius
+    sure = np.abs(off) > 1.5 * SLACK  # as above
+    assert (np.array(got) == (off > 0))[sure].all() and sure.mean() > 0.99
