@@ -61,6 +61,9 @@ def add_parser(subparsers: Any) -> None:
         "--wavelength", type=float, metavar="UM", help="of first-order data, in micrometres"
     )
     parser.add_argument("--json", action="store_true", help="print first-order data as JSON")
+    from . import _lens_render
+
+    _lens_render.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
     from .._files import is_same
     from ..errors import PrescriptionError
     from ..optics.drawing import check_drawing
+    from . import _lens_render
+
+    _lens_render.check_options(args)
 
     if args.frequency is not None and not 0 < args.frequency < float("inf"):
         raise PrescriptionError.expected("--frequency", "a positive number", args.frequency)
@@ -103,4 +109,6 @@ def run(args: argparse.Namespace) -> int:
     for name, path in outputs.items():
         if path is not None:
             optics.save_figure(drawings[name](lens), path)
+    if args.render is not None:
+        _lens_render.render(args, lens)
     return 0

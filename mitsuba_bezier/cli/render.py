@@ -33,7 +33,9 @@ MAX_WORKERS = 1024
 MAX_STOPS = 64
 
 
-def _integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
+def integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
+    """Return the type of a flag whose whole number is in a range."""
+
     def convert(text: str) -> int:
         try:
             value = int(text)
@@ -48,7 +50,8 @@ def _integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
     return convert
 
 
-def _define(text: str) -> tuple[str, str]:
+def define(text: str) -> tuple[str, str]:
+    """Return the key and the value of a $KEY, for a flag."""
     key, equals, value = text.partition("=")
     if not key or not equals or not is_utf8(text):
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE, got {text!r}")
@@ -107,12 +110,12 @@ def add_parser(subparsers: Any) -> None:
         "-D",
         "--define",
         metavar="KEY=VALUE",
-        type=_define,
+        type=define,
         action="append",
         default=[],
         help="value of a $KEY in the scene; may be given several times",
     )
-    add("-s", "--sensor", metavar="N", type=_integer(0), default=0, help="number of the sensor (0)")
+    add("-s", "--sensor", metavar="N", type=integer(0), default=0, help="number of the sensor (0)")
     add(
         "-a",
         "--append",
@@ -125,15 +128,15 @@ def add_parser(subparsers: Any) -> None:
         "-t",
         "--threads",
         metavar="N",
-        type=_integer(1, MAX_THREADS),
+        type=integer(1, MAX_THREADS),
         help="number of CPU threads",
     )
-    add("--spp", metavar="N", type=_integer(1, MAX_SPP), help="samples per pixel (the scene's)")
-    add("--seed", metavar="K", type=_integer(0), default=0, help="seed of the render (0)")
+    add("--spp", metavar="N", type=integer(1, MAX_SPP), help="samples per pixel (the scene's)")
+    add("--seed", metavar="K", type=integer(0), default=0, help="seed of the render (0)")
     add(
         "--spp-per-pass",
         metavar="N",
-        type=_integer(1, MAX_SPP),
+        type=integer(1, MAX_SPP),
         help="size of a pass (by film size)",
     )
     add(
@@ -190,7 +193,7 @@ def add_parser(subparsers: Any) -> None:
     many.add_argument(
         "--workers",
         metavar="N",
-        type=_integer(1, MAX_WORKERS),
+        type=integer(1, MAX_WORKERS),
         help="render by so many processes of this machine, which share its threads",
     )
     many.add_argument(
