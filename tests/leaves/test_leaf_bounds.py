@@ -144,8 +144,8 @@ def test_bounds_hold_and_are_not_loose(charts):
         )
     # medians are 1.0 to 1.4; 2.6 at degree 10, where fourth derivatives are bounded by parts
     assert np.median(loose, axis=0).max() < 1.7
-    # 3.3 at degree 8: leaves cut in two are larger, and more of their bounds is fourth derivatives
-    assert np.quantile(loose, 0.9, axis=0).max() < 3.5
+    # 3.8 at degree 8: leaves cut in two are larger, and more of their bounds is fourth derivatives
+    assert np.quantile(loose, 0.9, axis=0).max() < 4.0
 
 
 def test_tangent_planes_from_anywhere(charts):

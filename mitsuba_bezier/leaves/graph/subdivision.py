@@ -518,10 +518,22 @@ def _seen(chart: np.ndarray, settings: LeafSettings) -> tuple[np.ndarray, np.nda
     pu, pv = (du[..., :3] - p * du[..., 3:]) * inv, (dv[..., :3] - p * dv[..., 3:]) * inv
     lateral = norm2(pu[..., 0] - 1, pv[..., 0], pu[..., 1], pv[..., 1] - 1).max(axis=1)
     hopeless = (lateral > settings.lateral) | (np.abs(p[..., 2]).max(axis=1) > settings.height)
-    # how much the partial along an edge changes on it: the first three points are C, A and B
-    turns = (pu - pv)[:, 1] - (pu - pv)[:, 2], pv[:, 2] - pv[:, 0], pu[:, 1] - pu[:, 0]
+    # how much the partial along an edge changes on it: BC, CA and AB, by the corners opposite, in
+    # the order of `_ways`; the first three points are C, A and B
+    turns = pv[:, 2] - pv[:, 0], pu[:, 1] - pu[:, 0], (pu - pv)[:, 1] - (pu - pv)[:, 2]
     bent = np.stack([np.linalg.norm(turn, axis=-1) for turn in turns])
-    # BC, CA and AB, by the corners opposite, in the order of `_ways`
-    bent = bent[[1, 2, 0]]
+    bent = np.maximum(bent, _bent_nets(chart))
     one_way = bent.max(axis=0) > _ONE_WAY * bent.min(axis=0)
     return hopeless, np.where(one_way, bent.argmax(axis=0), _IN_FOUR)
+
+
+def _bent_nets(chart: np.ndarray) -> np.ndarray:
+    """Return ``(3, L)`` how much the sides of the control polygons of the edges turn, added up.
+
+    An edge with an inflection may end with the partial it began with. Never cut, while the other
+    two are, it would leave thinner and thinner needles.
+    """
+    n = bernstein.degree_of(chart.shape[1])
+    edges = bernstein.edge_rows(n)[[1, 2, 0]]
+    points = chart[:, edges, :3] / chart[:, edges, 3:]
+    return n * np.linalg.norm(np.diff(points, 2, axis=2), axis=-1).sum(axis=-1).T
