@@ -53,8 +53,9 @@ def test_all_that_a_scene_names_is_there(file):
 
 
 def test_scripts_make_what_is_there():
-    table, telescope = script("make_table"), script("make_telescope")
-    assert table.scene() == (SCENES / "table.xml").read_text("utf-8")
+    for name in ("table", "street"):
+        assert script(f"make_{name}").scene() == (SCENES / f"{name}.xml").read_text("utf-8")
+    telescope = script("make_telescope")
     assert telescope.scene() == (SCENES / "startest.xml").read_text("utf-8")
     magnifier, eye = script("make_magnifier"), script("make_eye")
     made = dict(telescope.mirrors())
@@ -157,6 +158,20 @@ def test_the_eye_is_cut_in_half():
     image = render("eye", 64, 36, 8)
     # the retina behind the cut is lit, beside the eye the wall is dark
     assert image[8:12, 40:46].mean() > 3 * image[2:6, 58:62].mean()
+
+
+def test_lamps_behind_the_table_are_spread():
+    sky = render("table", 60, 40, 16)[:12]
+    # lamps of radiance 30 to 60 are discs of 1 to 2, which cover a good part of the sky
+    assert 0.12 < (sky > 0.3).mean() < 0.5
+    assert 1 < np.percentile(sky, 95) < 6
+
+
+def test_ghosts_of_the_lamp_lie_across_the_street():
+    ghosts, none = (render("street", 60, 40, 64, ghosts=g) for g in ("true", "false"))
+    # below the middle, away from the lamp, where the street alone is dark
+    corner = (slice(28, 38), slice(40, 56))
+    assert ghosts[corner].mean() > 3 * none[corner].mean()
 
 
 def test_lamps_out_of_focus_are_discs():
