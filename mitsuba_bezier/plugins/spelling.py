@@ -40,7 +40,7 @@ PARAMETERS = {
         *("to_world", "shutter_open", "shutter_close"),
     ),
     "dispersive": ("material", "exterior", "int_ior", "ext_ior", "coating"),
-    "bezierpath": _PATH,
+    "bezierpath": (*_PATH, "shadow_steps"),
     "beziervolpath": _PATH,
     "bezieraov": ("aovs", "hide_emitters"),
     "bezierdepth": ("hide_emitters",),

@@ -51,6 +51,12 @@ def make_prb_projective_class() -> type:
                 if value is not None and not good:
                     raise BezierError.expected(key, "an integer >= 0", repr(value))
                 setattr(self, "_" + key, value)
+            if "shadow_steps" in props:
+                raise BezierError.expected(
+                    "shadow_steps",
+                    "none beside sppi, which has shadows",
+                    repr(props["shadow_steps"]),
+                )
             super().__init__(props)
             self.interior_may_be_constant = True
 

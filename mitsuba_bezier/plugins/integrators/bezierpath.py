@@ -9,11 +9,19 @@ import drjit as dr
 import mitsuba as mi
 
 from ... import _runtime
+from ...errors import BezierError
 from .depths import check_depths
 from .path_replay import replay
 from .path_tracing import trace
 
 __all__ = ["make_path_class"]
+
+
+def _steps(props: mi.Properties) -> int:
+    value = props.get("shadow_steps", 0)
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise BezierError.expected("shadow_steps", "an integer >= 0", repr(value))
+    return value
 
 
 def make_path_class() -> type:
@@ -40,11 +48,16 @@ def make_path_class() -> type:
          * - hide_emitters
            - |bool|
            - Hide directly visible emitters (Default: |false|).
+         * - shadow_steps
+           - |int|
+           - Intervals across a light in which derivatives look for the edges of its shadows, 16
+             for example; see :doc:`inverse` (Default: 0, soft shadows have no derivatives).
 
         Samples BSDFs and emitters and combines both by multiple importance sampling, as
         Mitsuba's `path` does, whose parameters and defaults it has. It sees `beziertriangle`
         shapes exactly, and every other shape of Mitsuba. Derivatives, forward and reverse, by path
-        replay have the estimator of `prb`; they leave out what moves at outlines, which
+        replay have the estimator of `prb`, with edges of soft shadows on what the camera sees,
+        through mirrors and glass too. They leave out what moves at outlines, which
         `bezier_prb_projective` takes in.
         """
 
@@ -54,6 +67,8 @@ def make_path_class() -> type:
             super().__init__(props)
             #: Whether a derivative without any contribution within surfaces is no mistake
             self.interior_may_be_constant = False
+            #: Intervals in which edges of soft shadows are searched for; 0: nowhere
+            self.shadow_steps = _steps(props)
 
         def sample(
             self,

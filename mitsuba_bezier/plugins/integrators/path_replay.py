@@ -14,6 +14,7 @@ from ..scene import SceneRays
 from .chains import Bend, Chains, Vertex, has_delta, what_moves
 from .emitters import EmitterSampling, LightSample
 from .path_tracing import mis_weight, russian_roulette, skip_emitters
+from .shadow_edges import shadow_edge
 
 __all__ = ["relative", "replay", "solid_angle"]
 
@@ -148,6 +149,15 @@ def _replay(
 
         # ---- the next ray: by the numbers and in the form of the primal pass
         sample1, sample2 = sampler.next_1d(active_next), sampler.next_2d(active_next)
+        edge = mi.Spectrum(0.0)
+        if chains.moves and integrator.shadow_steps:
+            with dr.resume_grad():
+                numbers = sample1, sample2.x
+                found = shadow_edge(
+                    rays, emitters, si, p_err, numbers, integrator.shadow_steps, smooth
+                )
+                value = bsdf.eval(context, here, here.to_local(found.d), found.found)
+                edge = throughput * dr.detach(value) * found.weight * found.shift
         _value, _pdf, sample, bsdf_weight = bsdf.eval_pdf_sample(
             context, here, here.to_local(ds.d), sample1, sample2, active_next
         )
@@ -183,7 +193,7 @@ def _replay(
             solid = solid_angle(si.p, following.p, following.n, met & rough)
             # `rest` is what arrives along the next ray, with the throughput up to here
             reflected = dr.select(active_next, rest * relative(value) * relative(solid), 0.0)
-            total = emitted + direct + reflected
+            total = emitted + direct + reflected + edge
             derivative, chain = st["derivative"], st["chain"]
             if not dr.grad_enabled(total) and not integrator.interior_may_be_constant:
                 raise BezierError.expected(
