@@ -224,7 +224,10 @@ class Shot:
         names = [name for name in ("RGB" if "R" in mean else "Y") if name in mean]
         started = time.perf_counter()
         guides = auxiliary(self.loaded.scene, self.sensor, self.variant)
-        clean = denoise(np.stack([mean[name] for name in names], axis=-1), guides)
+        # what an aperture blurs has noise in albedo and normals
+        blurred = self.sensor.needs_aperture_sample()
+        pixels = np.stack([mean[name] for name in names], axis=-1)
+        clean = denoise(pixels, guides, noisy_aovs=blurred)
         channels = {name: clean[..., i] for i, name in enumerate(names)}
         mean |= channels
         if "A" in mean:

@@ -51,7 +51,9 @@ def denoiser_name() -> str:
     return f"Open Image Denoise {oidn.oidn_version()}, mitsuba-oidn {oidn.__version__}"
 
 
-def denoise(image: Any, aovs: Any = None, *, hdr: bool = True) -> np.ndarray:
+def denoise(
+    image: Any, aovs: Any = None, *, hdr: bool = True, noisy_aovs: bool = False
+) -> np.ndarray:
     """Return a picture without noise.
 
     Parameters
@@ -66,6 +68,9 @@ def denoise(image: Any, aovs: Any = None, *, hdr: bool = True) -> np.ndarray:
         ``"normal"``.
     hdr : bool
         Whether values may be larger than 1.
+    noisy_aovs : bool
+        Whether albedo and normals have noise, too, as where a lens blurs them: noise that is taken
+        for clean stays in the picture as texture.
 
     Returns
     -------
@@ -99,7 +104,10 @@ def denoise(image: Any, aovs: Any = None, *, hdr: bool = True) -> np.ndarray:
     colour = np.ascontiguousarray(np.broadcast_to(colour, (*pixels.shape[:2], 3)))
     finite = np.isfinite(colour).all(axis=-1, keepdims=True)
     clean = oidn.denoise(
-        np.where(finite, colour, np.float32(0)), hdr=hdr, clean_aux=bool(guides), **guides
+        np.where(finite, colour, np.float32(0)),
+        hdr=hdr,
+        clean_aux=bool(guides) and not noisy_aovs,
+        **guides,
     )
     result = pixels.copy()
     kept = np.where(finite, np.array(clean), colour)  # a pixel that is broken stays so

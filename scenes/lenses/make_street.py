@@ -10,16 +10,16 @@ from mitsuba_bezier._files import write_file
 
 HERE = Path(__file__).resolve().parent
 
-#: Posts with a globe: x, y, its radius and radiance. The first is bright enough for ghosts.
+#: Posts with a globe: its place, radius and radiance. The first is bright enough for ghosts, and
+#: so large that rays find it through them.
 POSTS = (
-    (-2.1, 8.0, 0.30, (220, 135, 62)),
-    (2.6, 11.5, 0.16, (9, 6.0, 3.0)),
-    (-2.3, 17.0, 0.16, (9, 5.6, 2.7)),
-    (2.6, 23.5, 0.16, (9, 6.0, 3.0)),
-    (-2.3, 31.0, 0.16, (9, 5.6, 2.7)),
-    (2.6, 40.0, 0.16, (9, 6.0, 3.0)),
+    (-1.27, 4.8, 2.84, 0.32, (75, 46, 21)),
+    (2.6, 11.5, 3.72, 0.16, (9, 6.0, 3.0)),
+    (-2.3, 17.0, 3.72, 0.16, (9, 5.6, 2.7)),
+    (2.6, 23.5, 3.72, 0.16, (9, 6.0, 3.0)),
+    (-2.3, 31.0, 3.72, 0.16, (9, 5.6, 2.7)),
+    (2.6, 40.0, 3.72, 0.16, (9, 6.0, 3.0)),
 )
-HEIGHT = 3.72
 #: Houses: x from and to, y from and to, height.
 HOUSES = (
     (-11, -4.2, 9, 20, 6.2),
@@ -42,16 +42,16 @@ def shape(kind: str, moves: str, inside: str) -> str:
 def parts() -> list[str]:
     """Return everything."""
     found = []
-    for x, y, radius, radiance in POSTS:
+    for x, y, z, radius, radiance in POSTS:
         light = ", ".join(f"{v:.1f}" for v in radiance)
         found.append(
             '    <shape type="sphere">\n'
-            f'        <point name="center" x="{x}" y="{y}" z="{HEIGHT}"/> '
+            f'        <point name="center" x="{x}" y="{y}" z="{z}"/> '
             f'<float name="radius" value="{radius}"/>\n'
             f'        <emitter type="area"><rgb name="radiance" value="{light}"/></emitter>\n'
             "    </shape>"
         )
-        post = f'<scale x="0.06" y="0.06" z="{HEIGHT}"/> <translate x="{x}" y="{y}"/>'
+        post = f'<scale x="0.06" y="0.06" z="{z}"/> <translate x="{x}" y="{y}"/>'
         name = '<string name="filename" value="../models/cylinder.vtu"/> <ref id="iron"/>'
         found.append(shape("beziertriangle", post, name))
     rng = np.random.default_rng(3)

@@ -109,6 +109,38 @@ def test_in_python(channels):
     assert np.array_equal(mb.denoise(mi.TensorXf(image), guides), mb.denoise(image, guides))
 
 
+def test_noise_of_albedo_and_normals_is_no_texture():
+    pytest.importorskip("mitsuba_oidn")
+    mi.set_variant(VARIANT)
+    rng = np.random.default_rng(1)
+    image = (0.5 + 0.2 * rng.standard_normal((64, 64, 3))).astype(np.float32)
+    guides = np.zeros((64, 64, 6))
+    guides[..., :3] = 0.3 + 0.05 * rng.standard_normal((64, 64, 1))
+    guides[..., 3:] = [0, 0, 1] + 0.05 * rng.standard_normal((64, 64, 3))
+    kept, gone = (mb.denoise(image, guides, noisy_aovs=noisy).std() for noisy in (False, True))
+    # a tenth of the image's noise is left, and three times that if guides are taken for clean
+    assert gone < 0.03 and gone < 0.5 * kept
+
+
+@pytest.mark.parametrize(("kind", "noisy"), [("perspective", False), ("thinlens", True)])
+def test_guides_of_an_aperture_are_noisy(folder, monkeypatch, kind, noisy):
+    pytest.importorskip("mitsuba_oidn")
+    lens = '<float name="aperture_radius" value="0.3"/><float name="focus_distance" value="4"/>'
+    text = (folder / "a.xml").read_text().replace(
+        '<sensor type="perspective">', f'<sensor type="{kind}">' + (lens if noisy else "")
+    )  # fmt: skip
+    (folder / "b.xml").write_text(text)
+    told = []
+
+    def denoised(image, aovs, *, noisy_aovs):
+        told.append(noisy_aovs)
+        return image
+
+    monkeypatch.setattr("mitsuba_bezier.cli._passes.denoise", denoised)
+    assert run("render", "b.xml", "--spp", "1", "--denoise", "-q") == 0
+    assert told == [noisy]
+
+
 @pytest.mark.parametrize(
     ("image", "aovs", "message"),
     [
