@@ -16,7 +16,7 @@ LONG = 35
 
 def sentences(text: str) -> list[str]:
     """Return the sentences of a page: of paragraphs and lists, not of tables, titles and code."""
-    text = re.sub(r"^(`{3,}).*?^\1 *$", "<code>", text, flags=re.S | re.M)
+    text = re.sub(r"^ *(`{3,}).*?^ *\1 *$", "<code>", text, flags=re.S | re.M)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.S)
     found: list[str] = []
     paragraph: list[str] = []
