@@ -14,7 +14,7 @@ from .shape.attributes import is_attribute
 __all__ = ["PARAMETERS", "check_known", "check_read"]
 
 _PATH = ("max_depth", "rr_depth", "hide_emitters")
-_SAMPLES = ("sppc", "sppp", "sppi")
+_SAMPLES = ("sppc", "sppp", "sppi", "spps")
 _MEDIA = ("interior", "exterior")
 _SHAPES = ("beziertriangle", "asphere")
 

@@ -1,4 +1,4 @@
-"""Derivatives of outlines of instances, against central differences."""
+"""Derivatives of outlines of instances, and of those seen in mirrors and through glass."""
 
 from __future__ import annotations
 
@@ -82,9 +82,11 @@ def derivatives(integrator: Any, scene: Any, keys: list[str], w: Any, spp: int) 
     return [np.array(dr.grad(params[key])).reshape(params[key].shape) for key in keys]
 
 
-def central(scene: Any, key: str, change: np.ndarray, w: Any, spp: int, e: float) -> float:
+def central(
+    scene: Any, key: str, change: np.ndarray, w: Any, spp: int, e: float, depth: int = 2
+) -> float:
     """Return the central difference of the loss along a change of a parameter."""
-    path = mi.load_dict({"type": "bezierpath", "max_depth": 2})
+    path = mi.load_dict({"type": "bezierpath", "max_depth": depth})
     params = mi.traverse(scene)
     values = np.array(dr.detach(params[key])).reshape(params[key].shape)
     out = []
@@ -190,3 +192,93 @@ def test_silhouette_samples_of_instances():
     assert (np.array(ss.scene_index) == np.array(again.scene_index))[good].mean() > 0.99
     with pytest.raises(mb.BezierError, match="no instances where an interaction is to tell one"):
         shape.differential_motion(dr.zeros(mi.SurfaceInteraction3f))
+
+
+# ---------------------------------------------------------------- mirrors and glass
+
+NET = "surface.control_points"
+SPARSE = {"sppi": 0, "sppp": 0}
+
+
+def ball(centre: Any, radius: float) -> np.ndarray:
+    return BALL @ np.block([[radius * np.eye(3), np.array(centre)[:, None]], [0, 0, 0, 1]]).T
+
+
+def glowing(net: np.ndarray) -> dict[str, Any]:
+    """A surface of one radiance: only its outline tells where it is."""
+    light = {"type": "area", "radiance": {"type": "rgb", "value": [0.9, 0.3, 0.2]}}
+    return bezier(net, bsdf={"type": "diffuse", "reflectance": 0.0}, emitter=light)
+
+
+def seen_by(fov: float, **shapes: Any) -> Any:
+    """Shapes before a sky that is the same everywhere."""
+    look = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.05, 0.1, 0.3]}}
+    camera = {"type": "perspective", "fov": fov, "to_world": look, **film(SIDE)}
+    return mi.load_dict({"type": "scene", "camera": camera, "sky": sky, **shapes})
+
+
+#: Seen by reflection in the middle of the view.
+AT = (4, 0.1, 0.2)
+TURNED = np.array([[0, 0, 1, 4], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
+MIRROR = {"type": "conductor", "material": "none"}
+GLASS = {"type": "dielectric", "int_ior": 1.5}
+HOLLOW = ball((-2.1, 0, -2.1), 3)
+
+
+def plane_mirror() -> dict[str, Any]:
+    turned = mi.ScalarTransform4f().look_at([0, 0, 0], [1, 0, 1], [0, 1, 0]).scale(4)
+    return {"type": "rectangle", "to_world": turned, "bsdf": MIRROR}
+
+
+SCENES = {
+    "ball in a plane mirror": lambda: (
+        seen_by(30, surface=glowing(ball(AT, 1)), mirror=plane_mirror()), AT),
+    "patch in a plane mirror": lambda: (
+        seen_by(30, surface=glowing(BENT @ TURNED.T), mirror=plane_mirror()), (4, 0, 0)),
+    "ball in a ball": lambda: (
+        seen_by(20, surface=glowing(ball(AT, 1)), mirror=bezier(HOLLOW, bsdf=MIRROR)), AT),
+    "ball in a ball that grows": lambda: (
+        seen_by(20, other=glowing(ball(AT, 1)), surface=bezier(HOLLOW, bsdf=MIRROR)),
+        (-2.1, 0, -2.1)),
+    "ball through glass": lambda: (
+        seen_by(22, surface=glowing(ball((0.2, 0.1, -3), 0.6)),
+                glass=bezier(ball((0, 0, 0), 1), bsdf=GLASS)), (0.2, 0.1, -3)),
+    "ball through glass that grows": lambda: (
+        seen_by(16, other=glowing(ball((0.2, 0.1, -3), 0.6)),
+                surface=bezier(ball((0, 0, 0), 1), bsdf=GLASS)), (0, 0, 0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("make", SCENES.values(), ids=SCENES)
+def test_outlines_in_mirrors_and_through_glass(make):
+    scene, centre = make()
+    depth = 5
+    w = weights(SIDE) * np.linspace(0, 2, SIDE, dtype=np.float32)[:, None]
+    full = mi.load_dict({"type": "bezier_prb_projective", "max_depth": depth, **SPARSE})
+    (got,) = derivatives(full, scene, [NET], w, 1024)
+    net = np.array(mi.traverse(scene)[NET])
+    # it grows about its middle
+    change = net - net[..., 3:] * np.array([*centre, 1.0])
+    # 3 % are noise, of pixels that an outline crosses
+    want = central(scene, NET, change, w, 8100, 0.02, depth)
+    assert (got * change).sum() == pytest.approx(want, rel=0.1)
+    # without them there is nothing, or half of it
+    rest = mi.load_dict({"type": "bezier_prb_projective", "max_depth": depth, **SPARSE, "spps": 0})
+    (none,) = derivatives(rest, scene, [NET], w, 64)
+    assert abs((none * change).sum() - want) > 0.5 * abs(want)
+
+
+def test_forward_is_reverse_in_mirrors():
+    scene, _centre = SCENES["patch in a plane mirror"]()
+    full = mi.load_dict({"type": "bezier_prb_projective", "max_depth": 3, **SPARSE, "sppc": 0})
+    w = weights(SIDE)
+    (got,) = derivatives(full, scene, [NET], w, 64)
+    change = np.random.default_rng(0).normal(size=got.shape)
+    params = mi.traverse(scene)
+    attached(params, [NET])
+    dr.set_grad(params[NET], tensor(change))
+    image = full.render_forward(scene, None, seed=1, spp=64)
+    assert np.abs(np.array(image)).max() > 0
+    # the same samples: only the order of sums differs
+    assert inner(image, w) == pytest.approx(float((got * change).sum()), rel=1e-4)

@@ -11,6 +11,7 @@ from ...errors import BezierError
 from .bezierpath import make_path_class
 from .indirect_silhouette import indirect_silhouette_image
 from .primary_silhouette import primary_silhouette_image
+from .specular_silhouette import specular_silhouette_image
 
 __all__ = ["make_direct_projective_class", "make_prb_projective_class"]
 
@@ -31,21 +32,22 @@ def make_prb_projective_class() -> type:
          * - max_depth, rr_depth, hide_emitters
            - |int|, |int|, |bool|
            - As `bezierpath`.
-         * - sppc, sppp, sppi
+         * - sppc, sppp, sppi, spps
            - |int|
            - Samples per pixel for derivatives within surfaces, of silhouettes and edges as
-             the camera sees them, and as surfaces see them (shadows, reflections). Unless it is
+             the camera sees them, as surfaces see them (shadows, reflections), and as they are
+             seen in ideal mirrors and through smooth glass. Unless it is
              0, the `spp` of the render call comes first; without either, that of the sampler
              (Default: none).
 
         Renders as `bezierpath`. Its derivatives are those of `bezierpath` itself, and integrals
         over the silhouettes, open edges and creases of those `beziertriangle` shapes whose
-        parameters carry derivatives. Shadows of lights without extent, and what is seen through
-        ideally specular surfaces, have no part in them.
+        parameters carry derivatives, also in ideal mirrors and behind smooth glass. Shadows of
+        lights without extent have no part in them.
         """
 
         def __init__(self, props: mi.Properties) -> None:
-            for key in ("sppc", "sppp", "sppi"):
+            for key in ("sppc", "sppp", "sppi", "spps"):
                 value = props.get(key, None)
                 good = isinstance(value, int) and not isinstance(value, bool) and value >= 0
                 if value is not None and not good:
@@ -71,6 +73,7 @@ def make_prb_projective_class() -> type:
             for own, image in (
                 (self._sppp, primary_silhouette_image),
                 (self._sppi, indirect_silhouette_image),
+                (self._spps, specular_silhouette_image),
             ):
                 count = self._samples(own, spp, sensor)
                 images.append(image(self, scene, sensor, seed, count) if count else None)
@@ -116,7 +119,8 @@ def make_prb_projective_class() -> type:
             return (
                 f"{type(self).__name__}[\n  max_depth = {self.max_depth},\n"
                 f"  rr_depth = {self.rr_depth},\n  hide_emitters = {self.hide_emitters},\n"
-                f"  sppc = {self._sppc},\n  sppp = {self._sppp},\n  sppi = {self._sppi}\n]"
+                f"  sppc = {self._sppc},\n  sppp = {self._sppp},\n  sppi = {self._sppi},\n"
+                f"  spps = {self._spps}\n]"
             )
 
     return BezierPRBProjective

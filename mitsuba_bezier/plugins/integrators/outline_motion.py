@@ -1,0 +1,111 @@
+"""How an outline moves before a ray that passes it: a number that is 0 there, with derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..interaction import Preliminary
+from ..scene import SceneRays
+
+__all__ = ["Outline"]
+
+#: Cosine between ray and normal below which a hit is at a contour: it is a few thousandths there.
+_GRAZING = 0.05
+#: Barycentric coordinate below which a hit is at an edge.
+_AT_EDGE = 1e-3
+#: Relative difference of distances below which two surfaces meet.
+_TOGETHER = 1e-3
+
+
+@dataclass
+class Outline:
+    """Points of outlines that rays pass, without derivatives, and what is 0 there."""
+
+    near: Any = None  #: Preliminary, the hit on the surface that ends there
+    far: Any = None  #: Preliminary, the hit on the other side
+    p: Any = None  #: Point3f of the first
+    q: Any = None  #: Point3f of the second
+    n: Any = None  #: Vector3f, across ray and outline; what distances from `p` count
+    m: Any = None  #: Vector3f, what distances from `q` count
+    t: Any = None  #: Float, where on the ray
+    known: Any = None  #: Bool, False for outlines of Mitsuba's shapes, and where it is not clear
+
+    DRJIT_STRUCT = dict.fromkeys(("near", "far", "p", "q", "n", "m", "t", "known"), Any)
+
+    @staticmethod
+    def passed_by(rays: SceneRays, sides: list[tuple[Any, Preliminary]], active: Any) -> Outline:
+        """Return the outlines between rays that are next to each other.
+
+        Parameters
+        ----------
+        rays : SceneRays
+        sides : list of (mi.Ray3f, Preliminary)
+            A ray on each side, and what it meets.
+        active : Bool
+        """
+        data = rays.data
+        assert data is not None
+        (ray_a, a), (ray_b, b) = sides
+        d = ray_a.d
+        before = _distance(a) <= _distance(b)
+        near = dr.select(before, a, b)
+        far = dr.select(before, b, a)
+        si = rays.surface_interaction(near, dr.select(before, ray_a, ray_b), None, active)
+        behind = rays.surface_interaction(far, dr.select(before, ray_b, ray_a), None, active)
+        ours = active & near.bezier
+        cosine = dr.abs(dr.dot(si.n, d))
+        # the nearest edge, and the nearest that is open
+        uv, edges = near.pi.prim_uv, dr.gather(mi.UInt32, data.open_edges(), near.patch, ours)
+        place = data.tables.place(near.pi.shape_index, ours)
+        _p, pu, pv = data.tables.partials(near.patch, uv.x, uv.y, ours, place)
+        nearest, open_ = mi.Float(dr.inf), mi.Float(dr.inf)
+        tangent, open_tangent = mi.Vector3f(0.0), mi.Vector3f(0.0)
+        for bit, (x, line) in enumerate(((1 - uv.x - uv.y, pu - pv), (uv.x, pv), (uv.y, pu))):
+            x = dr.abs(x)
+            tangent = dr.select(x < nearest, line, tangent)
+            nearest = dr.minimum(x, nearest)
+            is_open = ((edges & (1 << bit)) != 0) & (x < open_)
+            open_tangent = dr.select(is_open, line, open_tangent)
+            open_ = dr.select(is_open, x, open_)
+        # the number that is nearer to 0, the sizes of both as they are at an outline
+        grazes = cosine < _GRAZING
+        edge = ours & (open_ < _AT_EDGE) & (~grazes | (_GRAZING / _AT_EDGE * open_ < cosine))
+        contour = ours & grazes & ~edge
+        close = dr.abs(_distance(b) - _distance(a)) < _TOGETHER * _distance(near)
+        same = si.shape == behind.shape
+        crease = ours & close & same & (nearest < _AT_EDGE) & ~edge & ~contour
+        meeting = active & close & ~same & ~edge & ~contour & far.pi.is_valid()
+        line = dr.select(crease, tangent, open_tangent)
+        n = dr.select(contour, si.n - d * dr.dot(si.n, d), dr.cross(d, line))
+        n = dr.normalize(n)
+        known = edge | contour | crease | meeting
+        n = dr.select(meeting, si.n / dr.dot(si.n, d), n)
+        other = dr.select(meeting, -behind.n / dr.dot(behind.n, d), 0.0)
+        t = near.pi.t
+        return Outline(near, far, si.p, behind.p, dr.select(known, n, 0.0), other, t, known)
+
+    def gap(self, tables: Any, ray: Any) -> Any:
+        """Return what is 0 where a ray passes the outline, with derivatives by ray and shapes.
+
+        Of a contour or an edge it is the distance between ray and outline, across both; of a line
+        in which two surfaces meet, the distance between them along the ray.
+        """
+        along = ray.o + self.t * ray.d
+        gap = dr.dot(self.n, _moving(tables, self.near, self.p) - along)
+        return gap + dr.dot(self.m, _moving(tables, self.far, self.q) - along)
+
+
+def _distance(hit: Preliminary) -> Any:
+    return dr.select(hit.pi.is_valid(), hit.pi.t, dr.largest(mi.Float))
+
+
+def _moving(tables: Any, hit: Preliminary, p: Any) -> Any:
+    """Return the point of a hit as it moves with its patch."""
+    uv = hit.pi.prim_uv
+    place = tables.place(hit.pi.shape_index, hit.bezier)
+    moved, _pu, _pv = tables.partials(hit.patch, uv.x, uv.y, hit.bezier, place)
+    return dr.replace_grad(p, dr.select(hit.bezier, moved, p))
