@@ -61,8 +61,12 @@ def mesh_arrays(patches: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
     from mitsuba_bezier.geometry import bernstein
 
     at = bernstein.multi_indices(count)
-    net = bernstein.basis(patches.degree, at[:, :2] / count) @ patches.control_points
-    points = (net[..., :3] / net[..., 3:]).astype(np.float32)
+    basis = bernstein.basis(patches.degree, at[:, :2] / count)
+    points = np.empty((len(patches), len(at), 3), dtype=np.float32)
+    for first in range(0, len(patches), 1000):  # in float64 they would take gigabytes
+        part = slice(first, first + 1000)
+        net = basis @ patches.control_points[part]
+        points[part] = net[..., :3] / net[..., 3:]
     index = {(i, j): r for r, (i, j, _k) in enumerate(at.tolist())}
     faces = []
     for i, j, k in at.tolist():
@@ -70,8 +74,9 @@ def mesh_arrays(patches: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
             faces.append([index[i, j], index[i + 1, j], index[i, j + 1]])
         if i > 0 and j > 0:
             faces.append([index[i, j], index[i - 1, j], index[i, j - 1]])
-    first = (len(at) * np.arange(len(points)))[:, None, None]
-    return points.reshape(-1, 3), (np.array(faces) + first).reshape(-1, 3).astype(np.uint32)
+    starts = len(at) * np.arange(len(points), dtype=np.uint32)
+    triangles = np.array(faces, dtype=np.uint32) + starts[:, None, None]
+    return points.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
 def load_mesh(points: np.ndarray, faces: np.ndarray) -> Any:
