@@ -21,6 +21,7 @@ from . import _runtime  # noqa: E402
 from ._version import __version__  # noqa: E402
 from .errors import (  # noqa: E402
     BezierError,
+    DerivativeWarning,
     FileFormatError,
     GeometryError,
     NetError,
@@ -67,6 +68,7 @@ __all__ = [
     "BezierError",
     "BezierTriangles",
     "Camera",
+    "DerivativeWarning",
     "DualBezierCurve",
     "FileFormatError",
     "GeometryError",

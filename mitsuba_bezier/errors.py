@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = [
     "BezierError",
+    "DerivativeWarning",
     "FileFormatError",
     "GeometryError",
     "NetError",
@@ -94,3 +95,13 @@ class RuntimeSetupError(BezierError):
 
 class PrescriptionError(BezierError):
     """A prescription of a lens, or a glass in it, that is not what was expected."""
+
+
+class DerivativeWarning(UserWarning):
+    """A derivative that leaves something out; the message names who has it. Said once.
+
+    Examples
+    --------
+    >>> issubclass(mb.DerivativeWarning, UserWarning)
+    True
+    """

@@ -61,6 +61,7 @@ def make_prb_projective_class() -> type:
                 )
             super().__init__(props)
             self.interior_may_be_constant = True
+            self.spelled, self.has_outlines = props.plugin_name(), True
 
         def _samples(self, own: int | None, spp: int, sensor: Any) -> int:
             if own == 0:

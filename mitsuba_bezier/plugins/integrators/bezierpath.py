@@ -11,6 +11,7 @@ import mitsuba as mi
 from ... import _runtime
 from ...errors import BezierError
 from .depths import check_depths
+from .left_out import check_parameters, warn_of_outlines
 from .path_replay import replay
 from .path_tracing import trace
 
@@ -67,6 +68,8 @@ def make_path_class() -> type:
             super().__init__(props)
             #: Whether a derivative without any contribution within surfaces is no mistake
             self.interior_may_be_constant = False
+            #: Its name, and whether it has derivatives of outlines of patches
+            self.spelled, self.has_outlines = "bezierpath", False
             #: Intervals in which edges of soft shadows are searched for; 0: nowhere
             self.shadow_steps = _steps(props)
 
@@ -85,6 +88,8 @@ def make_path_class() -> type:
             if mode == dr.ADMode.Primal:
                 L, valid = trace(self, scene, sampler, ray, active)
                 return L, valid, [], L
+            check_parameters(self.spelled, scene)
+            warn_of_outlines(self.spelled, scene, self.has_outlines)
             δL, valid, rest = replay(self, mode, scene, sampler, ray, δL, state_in, active)
             return δL, valid, [], rest
 

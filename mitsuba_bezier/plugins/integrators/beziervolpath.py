@@ -57,7 +57,7 @@ def make_volpath_class() -> type:
         taken by the formula, not by chance; the colour that chooses a distance is drawn for each
         flight, not for each path; and hidden emitters let rays pass inside of media, too.
 
-        Derivatives by path replay have the estimator of `prbvolpath`: by media (in reverse mode),
+        Derivatives by path replay have the estimator of `prbvolpath`: by media,
         materials and lights. By what moves they are refused.
         """
 
@@ -163,7 +163,7 @@ def _trace(
         ray, medium, sampler = mi.Ray3f(st["ray"]), st["medium"], st["sampler"]
         active, depth, throughput = st["active"], st["depth"], st["throughput"]
         collides = scatters = mi.Bool(False)
-        before, terms = st["result"], []
+        before = st["result"]
 
         # ---- a flight through the medium, up to the next surface at the most
         if media:
@@ -191,11 +191,7 @@ def _trace(
                 ray.o = dr.select(null, mei.p, ray.o)
                 hit.pi.t = dr.select(null, hit.pi.t - mei.t, hit.pi.t)
             weight = dr.select(scatters, weight * mei.sigma_s, weight)
-            if adjoint is not None:
-                null = collides & ~scatters
-                with dr.resume_grad():
-                    change = adjoint.flight(medium, mei, distance, inside, scatters, null)
-                    terms.append(before * change)
+            flight = (medium, mei, distance, inside, scatters, collides & ~scatters)
             throughput = throughput * mi.Spectrum(dr.select(inside, weight, 1.0))
             depth = dr.select(scatters, depth + 1, depth)
             active = active & (depth < max_depth)
@@ -215,10 +211,9 @@ def _trace(
         direct = st["direct"] | (depth == 0)
         pdf = emitters.pdf(st["last"], ds, si, hit, emits & ~direct)
         share = dr.select(direct, 1.0, mis_weight(st["last_pdf"], pdf))
-        with dr.resume_grad(when=adjoint is not None):
-            emitted = dr.select(emits, throughput * ds.emitter.eval(si, emits) * share, 0.0)
-        result = st["result"] + emitted if adjoint is None else before - dr.detach(emitted)
-        terms.append(emitted)
+        met = emits, si, ds.emitter, throughput * share
+        emitted = dr.select(emits, met[3] * met[2].eval(si, emits), 0.0)
+        result = st["result"] + emitted if adjoint is None else before - emitted
         surface = surface & si.is_valid()
         bounces = surface & ~passes
         bsdf = si.bsdf(ray)
@@ -262,8 +257,13 @@ def _trace(
         result = result + arrived if adjoint is None else result - arrived
         if adjoint is not None:
             way = shadow.ray, into, again, asks, shadow.reach
+            # before all else: a loop within takes no derivatives out of what is attached before
             change = adjoint.way(rays, media, way, arrived, st["derivative"])
             with dr.resume_grad():
+                emits, seen_si, emitter, carried = met
+                terms = [dr.select(emits, carried * emitter.eval(seen_si, emits), 0.0)]
+                if media:
+                    terms.append(before * adjoint.flight(*flight))
                 lit = adjoint.light(rays, si, scatters, ref, ds, end, em_weight, asks)
                 seen = bsdf.eval(context, si, wo, asks & ~scatters)
                 leaves = bsdf.eval(context, si, sample.wo, bounces)

@@ -16,23 +16,22 @@ from ...errors import BezierError
 from ..native.originals import original
 from ..scene import SceneRays
 from .chains import with_derivatives
+from .left_out import check_parameters
 from .media import Media, transmittance, transmittance_by_colour, with_coefficients
 from .path_replay import relative
 
 __all__ = ["MediumAdjoint"]
 
 
-def _enabled(scene: Any) -> tuple[list[str], list[str]]:
-    """Return parameters with derivatives that move what rays meet, or rays; and those of media."""
-    turning, media = [], []
+def _turning(scene: Any) -> list[str]:
+    """Return parameters with derivatives that move what rays meet, or rays."""
+    turning = []
     for key, node, flags in with_derivatives(scene):
         delta = isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Delta)
         moves = isinstance(node, mi.Shape | mi.Emitter | mi.Sensor) or delta
         if moves and flags & mi.ParamFlags.Discontinuous:
             turning.append(key)
-        if "_medium." in key:
-            media.append(key)
-    return turning, media
+    return turning
 
 
 class MediumAdjoint:
@@ -47,7 +46,7 @@ class MediumAdjoint:
     Raises
     ------
     BezierError
-        If something moves, by media in forward mode, and in polarized variants.
+        If something moves, and in polarized variants.
     """
 
     def __init__(self, scene: Any, mode: Any) -> None:
@@ -55,20 +54,14 @@ class MediumAdjoint:
             raise BezierError.expected(
                 "beziervolpath", "a variant without polarization for derivatives", mi.variant()
             )
-        turning, media = _enabled(scene)
+        check_parameters("beziervolpath", scene)
+        turning = _turning(scene)
         if turning:
             raise BezierError.expected(
                 "beziervolpath",
                 "derivatives by media, materials and lights only (bezierpath has those by what "
                 "moves, without media)",
                 ", ".join(turning),
-            )
-        if media and mode == dr.ADMode.Forward:
-            # Dr.Jit takes none forward into the loop in a loop that follows light to an emitter
-            raise BezierError.expected(
-                "beziervolpath",
-                "derivatives by media in reverse mode only (dr.backward)",
-                f"forward mode by {', '.join(media)}",
             )
         self.scene, self.mode = scene, mode
 

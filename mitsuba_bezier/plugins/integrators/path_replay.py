@@ -277,7 +277,7 @@ def _attached_light(rays: SceneRays, si: Any, here: Any, light: LightSample) -> 
     # the cone of a spot, and the picture of a projector, follow the vertex only in a new sample
     placed = theirs & mi.has_flag(flags, mi.EmitterFlags.DeltaPosition)
     _same, again = ds.emitter.sample_direction(si, mi.Point2f(0.5), placed)
-    value += dr.select(placed, again * ds.pdf, 0.0)
+    value += dr.select(placed, again, 0.0)
     theirs = theirs & ~placed
     value += dr.select(theirs, scene.eval_emitter_direction(si, attached, theirs), 0.0)
 
