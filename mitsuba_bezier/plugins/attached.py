@@ -20,7 +20,10 @@ __all__ = ["attached_tables", "is_attached"]
 
 def is_attached(shape: Any) -> bool:
     """Return whether derivatives by the parameters of a shape are wanted now."""
-    more = [*shape.sag_parameters, *(x for x in (shape.instance_maps,) if x is not None)]
+    more = [
+        *shape.sag_parameters,
+        *(x for x in (shape.instance_maps, shape.trim_points) if x is not None),
+    ]
     return bool(dr.grad_enabled(shape.control_points, shape.to_world, *more))
 
 

@@ -37,10 +37,12 @@ class BoundarySample:
     is_edge: Any = None  #: Bool
     valid: Any = None  #: Bool
     instance: Any = None  #: UInt, 1 + the number of the instance; 0: the patch is where it is
+    cut: Any = None  #: see `SilhouettePoint`
+    s: Any = None
 
     DRJIT_STRUCT = dict.fromkeys(
         ("patch", "u", "v", "p", "d", "n", "along", "density", "pdf", "index", "is_edge", "valid",
-         "instance"),
+         "instance", "cut", "s"),
         Any,
     )  # fmt: skip
 
@@ -72,6 +74,7 @@ class BoundaryLines:
             patch, u, v, p, d, n, dr.zeros(mi.Vector3f, width), density,
             dr.zeros(mi.Float, width), dr.zeros(mi.UInt32, width),
             dr.zeros(mi.Bool, width), dr.zeros(mi.Bool, width), dr.zeros(mi.UInt32, width),
+            dr.zeros(mi.UInt32, width), dr.zeros(mi.Float, width),
         )  # fmt: skip
 
     def sample(
@@ -147,10 +150,11 @@ class BoundaryLines:
         point = self.edges.point(index, s, active)
         length = dr.norm(point.tangent)
         along = point.tangent / length
-        n = self.edges.edge_normal(d, point, active)
-        sine = dr.norm(dr.cross(d, along))
+        n = self.edges.edge_normal(d, point)
+        sine = dr.norm(dr.cross(d, along)) * point.weight
         out = self.empty(point.patch, point.u, point.v, point.p, d, n, sine)
         out.along, out.index, out.instance = along, index, point.instance
+        out.cut, out.s = point.cut, point.s
         out.pdf = pmf / length / (4 * dr.pi)
         out.is_edge = dr.full(mi.Bool, True, dr.width(s))
         out.valid = active & point.valid & (length > 0) & (sine > 0)

@@ -13,12 +13,17 @@ from ..errors import BezierError
 from ..geometry.contours import POINTS, Segments, contour_segments, edge_segments
 from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials
+from ..kernels.trim import keep
 from .interaction import placed
+from .trim_curves import TrimCurves
 
 __all__ = ["Discrete", "SilhouetteCurves", "SilhouettePoint", "facing", "in_place", "outward"]
 
 #: Newton steps to the contour: from a chord over a cell three give float32.
 _STEPS = 4
+#: Share of the way from an edge to the centroid at which it is seen whether there is surface:
+#: some times the slack of trims.
+_INWARDS = 1e-5
 
 
 @dataclass
@@ -34,6 +39,10 @@ class SilhouettePoint:
     is_edge: Any  #: Bool
     valid: Any  #: Bool
     instance: Any  #: UInt, 1 + the number of the instance; 0: the patch is where it is
+    inside: Any  #: Vector3f, from an edge into the surface
+    weight: Any  #: Float, 1/2 where two borders are the same curve
+    cut: Any  #: UInt, 1 + the row of the trimming curve, 0 elsewhere
+    s: Any  #: Float, the parameter of the segment
 
 
 class Discrete:
@@ -109,7 +118,7 @@ class SilhouetteCurves:
     Raises
     ------
     BezierError
-        If a shape is trimmed or an asphere: their outlines are not known here.
+        If a shape is an asphere: their outlines are not known here.
     """
 
     def __init__(self, data: Any, numbers: list[int], eye: np.ndarray | None) -> None:
@@ -117,15 +126,16 @@ class SilhouetteCurves:
         self.view = eye
         self.eye = None if eye is None else mi.Point3f(*(dr.opaque(mi.Float, x) for x in eye))
         firsts = np.cumsum([0] + [len(s.patches) for s in data.shapes])
-        parts, copies = [], []
+        parts, copies, cut_of = [], [], []
+        trim_curves = TrimCurves()
         for number in numbers:
             shape = data.shapes[number]
-            for what in ("trims", "asphere"):
-                if getattr(shape, what) is not None:
-                    raise BezierError.expected(
-                        f'shape "{shape.id()}"', f"no {what} where silhouettes are asked for", what
-                    )
+            if shape.asphere is not None:
+                raise BezierError.expected(
+                    f'shape "{shape.id()}"', "no asphere where silhouettes are asked for", "one"
+                )
             edges = edge_segments(shape.patches)
+            cuts = trim_curves.add(shape, firsts[number])
             edges.patch = edges.patch + firsts[number]
             maps = data.instance_numbers(number)
             for copy in maps:
@@ -136,7 +146,12 @@ class SilhouetteCurves:
                     found.append(contour_segments(shape.patches, self._local(copy), effort))
                     found[1].patch = found[1].patch + firsts[number]
                 parts += found
-                copies += [np.full(sum(map(len, found)), copy)]
+                cut_of += [np.full(sum(map(len, found)), -1), cuts.rows]
+                parts.append(Segments(cuts.patch, cuts.a, cuts.b, np.ones(len(cuts.rows), bool)))
+                copies += [np.full(sum(map(len, found)) + len(cuts.rows), copy)]
+        #: Trimming curves, or None; the row there of each segment, 1 + it, or 0.
+        self.trims = trim_curves.uploaded(data)
+        self.cuts = upload(mi.UInt32, (np.concatenate([*cut_of, [-1]]) + 1).astype(np.uint32))
         self.segments = Segments.join(parts)
         #: 1 + the number of the instance of each segment, or 0.
         self.copy_of = np.concatenate(copies)
@@ -224,13 +239,29 @@ class SilhouetteCurves:
             along = fu * chord.x + fv * chord.y
             slope = fu * across.x + fv * across.y
             dq = chord - dr.select(is_edge | (slope == 0), 0.0, along / slope) * across
+        weight, cut, inwards = mi.Float(1.0), mi.UInt32(0), mi.Vector2f(1 / 3 - q.x, 1 / 3 - q.y)
+        if self.trims is not None:
+            cut = dr.gather(mi.UInt32, self.cuts, index, active)
+            on_cut = active & (cut > 0)
+            curve = self.trims.point(cut - 1, s, on_cut)
+            q = dr.select(on_cut, curve.uv, q)
+            dq = dr.select(on_cut, curve.tangent, dq)
+            inwards = dr.select(on_cut, curve.side * mi.Vector2f(-dq.y, dq.x), inwards)
+            weight = dr.select(on_cut, curve.weight, 1.0)
+            h = tables.second(patch, q.x, q.y, active)
         p, pu, pv = tables.partials(patch, q.x, q.y, active, place)
         tangent = pu * dq.x + pv * dq.y
         d = dr.normalize(p - eye)
         n, _curvature = outward(in_place(h, place), d)
-        n = dr.select(is_edge, _edge_normal(d, tangent, pu, pv, q), n)
+        inside = pu * inwards.x + pv * inwards.y
+        n = dr.select(is_edge, _edge_normal(d, tangent, inside), n)
+        if self.trims is not None:  # what is trimmed away has no outline, nor its edges
+            at = q + dr.select(is_edge & (cut == 0), _INWARDS, 0.0) * inwards
+            active = active & ((cut > 0) | mi.Bool(keep(self.data.trim, patch, at.x, at.y, active)))
         valid = active & dr.isfinite(dr.squared_norm(n)) & dr.isfinite(dr.squared_norm(tangent))
-        return SilhouettePoint(patch, q.x, q.y, p, tangent, n, is_edge, valid, copy)
+        return SilhouettePoint(
+            patch, q.x, q.y, p, tangent, n, is_edge, valid, copy, inside, weight, cut, s
+        )
 
     def _place(self, index: Any, active: Any) -> tuple[Any, Any]:
         """Return the numbers of the instances of segments, and where these are."""
@@ -239,12 +270,28 @@ class SilhouetteCurves:
         copy = dr.gather(mi.UInt32, self.copies, index, active)
         return copy, self.data.tables.place(copy, active)
 
-    def edge_normal(self, d: Any, point: SilhouettePoint, active: Any) -> Any:
+    def edge_normal(self, d: Any, point: SilhouettePoint) -> Any:
         """Return the unit normal of an edge and the direction `d`, away from the patch."""
-        tables = self.data.tables
+        return _edge_normal(d, point.tangent, point.inside)
+
+    def moving(self, tables: Any, point: Any, active: Any) -> Any:
+        """Return points as they move with nets, instances and trimming curves.
+
+        Parameters
+        ----------
+        tables : PatchTables
+            With derivatives.
+        point : SilhouettePoint
+        active : Bool
+        """
         place = tables.place(point.instance, active)
-        _p, pu, pv = tables.partials(point.patch, point.u, point.v, active, place)
-        return _edge_normal(d, point.tangent, pu, pv, mi.Point2f(point.u, point.v))
+        p, pu, pv = tables.partials(point.patch, point.u, point.v, active, place)
+        if self.trims is None or not self.trims.moves(self.data):
+            return p
+        on_cut = active & (point.cut > 0)
+        uv = self.trims.point(point.cut - 1, point.s, on_cut, self.trims.attached(self.data)).uv
+        du, dv = (dr.replace_grad(mi.Float(0), dr.select(on_cut, x, 0.0)) for x in (uv.x, uv.y))
+        return p + dr.detach(pu) * du + dr.detach(pv) * dv
 
 
 def in_place(h: list[list[Any]], place: Any) -> list[list[Any]]:
@@ -252,9 +299,8 @@ def in_place(h: list[list[Any]], place: Any) -> list[list[Any]]:
     return h if place is None else placed(h, mi.Matrix3f(place[0]))
 
 
-def _edge_normal(d: Any, tangent: Any, pu: Any, pv: Any, q: Any) -> Any:
+def _edge_normal(d: Any, tangent: Any, inside: Any) -> Any:
     n = dr.normalize(dr.cross(d, tangent))
-    inside = pu * (1 / 3 - q.x) + pv * (1 / 3 - q.y)
     return dr.select(dr.dot(n, inside) > 0, -n, n)
 
 

@@ -1,7 +1,8 @@
-"""Derivatives of outlines of instances, and of those seen in mirrors and through glass."""
+"""Derivatives of outlines of instances and trims, and of those in mirrors and behind glass."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import drjit as dr
@@ -13,6 +14,9 @@ from derivative_cases import BENT, film, inner, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
+from mitsuba_bezier.geometry.trim_outlines import trim_segments
+from mitsuba_bezier.geometry.trims import Trims, closed_region, square_map
+from mitsuba_bezier.io.trim_arrays import trims_to_numbers
 
 BALL = mb.sphere(cover="octants").control_points
 SIDE = 8
@@ -282,3 +286,99 @@ def test_forward_is_reverse_in_mirrors():
     assert np.abs(np.array(image)).max() > 0
     # the same samples: only the order of sums differs
     assert inner(image, w) == pytest.approx(float((got * change).sum()), rel=1e-4)
+
+
+# ---------------------------------------------------------------- trims
+
+
+def square_and_circle(radius: float) -> list[np.ndarray]:
+    """Return the border of a square, through which a round hole is cut."""
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
+    lines = [np.array([[*a, 1], [*b, 1]], float) for a, b in pairwise(corners)]
+    arcs = []
+    half = np.sqrt(0.5)
+    for k in range(4):
+        c, s = (1, 0, -1, 0)[k], (0, 1, 0, -1)[k]
+        net = np.array([[1, 0, 1], [half, half, half], [0, 1, 1]])
+        turned = net @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
+        arcs.append(turned @ np.array([[radius, 0, 0], [0, radius, 0], [0.45, 0.55, 1]]))
+    return lines + closed_region(arcs, 1e-9)
+
+
+def cut(bend: float = 0.0, hole: float = 0.3) -> dict[str, Any]:
+    """A square of two patches, bent or flat, with a hole across both."""
+    grid = np.zeros((3, 3, 4))
+    x = np.array([-1, 0, 1.0])
+    grid[..., 0], grid[..., 1], grid[..., 3] = x[:, None], x[None, :], 1
+    grid[1, 1, 2] = bend
+    patches = mb.tensor_to_triangles(grid)
+    maps = [square_map(), square_map(second=True)]
+    trims = Trims([square_and_circle(hole)], [0, 0], maps, [[[0, 0], [1, 1]]] * 2)
+    return bezier(patches, trims=tensor(trims_to_numbers(trims)))
+
+
+TRIMMED = ["surface.control_points", "surface.trim_points"]
+
+
+@pytest.mark.parametrize("place", ["in view", "shadow"])
+def test_outlines_of_trimmed_shapes(place):
+    seen = place == "in view"
+    scene = (in_view if seen else with_shadow)(cut(1.0))
+    w = weights(SIDE if seen else 4)
+    which = {"sppi": 0} if seen else {"sppc": 4, "sppp": 0}
+    full = mi.load_dict({"type": "bezier_direct_projective", **which})
+    by_net, by_points = derivatives(full, scene, TRIMMED, w, 4096 if seen else 16384)
+    params = mi.traverse(scene)
+    net, points = (np.array(params[key]).reshape(params[key].shape) for key in TRIMMED)
+    grown = net * [1, 1, 1, 0]
+    # the hole alone grows; its points come after the four corners of the square
+    larger = points - points[:, 2:] * [0.45, 0.55, 1]
+    larger[:4] = 0
+    for got, key, change in ((by_net, TRIMMED[0], grown), (by_points, TRIMMED[1], larger)):
+        # 2 % are noise
+        want = central(scene, key, change, w, 8100, 0.04)
+        assert (got * change).sum() == pytest.approx(want, rel=0.1), key
+    if seen:  # without its hole it has another derivative
+        path = mi.load_dict({"type": "bezier_direct_projective", "sppi": 0, "sppp": 0})
+        (rest,) = derivatives(path, scene, TRIMMED[:1], w, 64)
+        want = central(scene, TRIMMED[0], grown, w, 8100, 0.04)
+        assert abs((rest * grown).sum() - want) > 0.5 * abs(want)
+
+
+def test_trims_are_a_parameter():
+    shape = mi.load_dict(cut())
+    params = mi.traverse(shape)
+    assert params["trim_points"].shape == (12, 3)  # corners and ends once
+    ray = mi.Ray3f(mi.Point3f(0.6, 0.1, 3), mi.Vector3f(0, 0, -1))
+    assert shape.ray_test(ray)[0]
+    points = np.array(params["trim_points"])
+    points[4:, :2] += 0.3 * (points - points[:, 2:] * [0.45, 0.55, 1])[4:, :2]
+    before = np.array(params["trim_points"])
+    params["trim_points"] = tensor(points)
+    params.update()
+    assert not shape.ray_test(ray)[0]
+    params["trim_points"] = tensor(before)
+    params.update()
+    assert shape.ray_test(ray)[0]
+    params["trim_points"] = tensor(-points)
+    with pytest.raises(mb.BezierError, match=r"trim_points.*positive weight"):
+        params.update()
+    assert np.array_equal(np.array(params["trim_points"]), before.astype(np.float32))
+
+
+def test_borders_of_trimmed_shapes():
+    shape = mi.load_dict(cut())
+    found = trim_segments(shape.patches, shape.trims)
+    a, b = (shape.patches.points(found.patch, x) for x in (found.a, found.b))
+    # the hole of radius 0.6 in space; the border of the square is left to the open edges
+    assert np.linalg.norm(b - a, axis=1).sum() == pytest.approx(1.2 * np.pi, rel=1e-3)
+    # trims in float32
+    assert np.abs(np.linalg.norm(a[:, :2] - [-0.1, 0.1], axis=1) - 0.6).max() < 1e-6
+    assert (found.weight == 1).all()
+    # a lid in the hole, of a larger net: its border and that of the hole are one
+    turn = np.diag([1.5, 1.5, 1, 1])
+    turn[:2, 3] = 0.05, -0.05
+    lid = Trims([square_and_circle(0.2)[4:]], [0, 0], shape.trims.square, shape.trims.place)
+    both = mb.BezierTriangles.join([shape.patches, shape.patches.transform(turn)])
+    twice = trim_segments(both, Trims.join([shape.trims, lid]))
+    assert len(twice) == 2 * len(found) and (twice.weight == 0.5).all()

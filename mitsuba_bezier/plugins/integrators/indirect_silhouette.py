@@ -41,7 +41,8 @@ def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: An
     with dr.suspend_grad():
         sampler, spp = integrator.prepare(sensor, 0x9E3779B9 ^ seed, spp, [])
         sample = mi.Point3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
-        boundary = BoundaryLines(data, numbers).sample(sample, mi.Bool(True))
+        lines = BoundaryLines(data, numbers)
+        boundary = lines.sample(sample, mi.Bool(True))
         wavelength_sample = sampler.next_1d() if mi.is_spectral else mi.Float(0)
         wavelengths, weight = sensor.sample_wavelengths(
             dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, boundary.valid
@@ -64,8 +65,7 @@ def indirect_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: An
         active = active & dr.any(value != 0)
 
     tables = attached_tables(data.tables, data.shapes)
-    place = tables.place(boundary.instance, active)
-    p, _pu, _pv = tables.partials(boundary.patch, boundary.u, boundary.v, active, place)
+    p = lines.edges.moving(tables, boundary, active)
     moving = dr.select(active, dr.dot(p, boundary.n), 0.0)
     value = dr.select(active, value, 0.0) * dr.replace_grad(mi.Float(0), moving)
 

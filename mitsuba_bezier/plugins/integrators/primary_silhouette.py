@@ -128,11 +128,10 @@ def primary_silhouette_image(integrator: Any, scene: Any, sensor: Any, seed: Any
             integrator, rays, camera, sampler, point, position, across, wavelength_sample, active
         )
         count = dr.prod(film.crop_size()) * spp  # a pixel has area 1
-        scale = dr.select(active, dr.rcp(pmf * count), 0.0)
+        scale = dr.select(active, point.weight / (pmf * count), 0.0)
 
     tables = attached_tables(data.tables, data.shapes)
-    place = tables.place(point.instance, active)
-    p, _pu, _pv = tables.partials(point.patch, point.u, point.v, active, place)
+    p = curves.moving(tables, point, active)
     moving, _seen = camera.position(dr.select(active, p, point.p))
     motion = dr.replace_grad(mi.Float(0), dr.dot(moving, across))
     value = difference * dr.select(active, motion * scale, 0.0)

@@ -9,10 +9,11 @@ import mitsuba as mi
 import numpy as np
 
 from ... import _runtime
-from ...errors import BezierError, NetError
+from ...errors import BezierError, GeometryError, NetError
 from ...geometry.aspheres import EvenAsphere
 from ...geometry.proper_nets import spans_area
 from ...geometry.triangles import BezierTriangles
+from ...geometry.trim_outlines import trim_points
 from ...geometry.trims import Trims
 from ..instances import check_instances, read_instances
 from ..native.sensors import watch
@@ -163,6 +164,12 @@ def make_shape_class() -> type:
             self.state = self._state(patches, matrix, flip, trims, instances)
             self.control_points = _tensor(self.state.exposed)
             self.to_world = mi.Transform4f(mi.Matrix4f(matrix.tolist()))
+            #: Control points (N, 3) of trimming curves as users see them, or None.
+            self.trim_points: Any = None
+            #: The same in float64, and which of them each curve has.
+            self.trim_rows = trim_points(trims or Trims.none(1))
+            if trims is not None and trims.regions:
+                self.trim_points = _tensor(self.trim_rows[0])
             #: Maps of instances (N, 3, 4) as users see them, or None.
             self.instance_maps: Any = None if instances is None else _tensor(instances[:, :3])
             #: Texture coordinates at the corners (P, 3, 2), or None.
@@ -256,6 +263,8 @@ def make_shape_class() -> type:
             edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
             cb.put("control_points", self.control_points, edges)
             cb.put("to_world", self.to_world, edges)
+            if self.trim_points is not None:
+                cb.put("trim_points", self.trim_points, edges)
             if self.instance_maps is not None:
                 cb.put("instances", self.instance_maps, edges)
             if self.texcoords is not None:
@@ -276,7 +285,7 @@ def make_shape_class() -> type:
                     cb.put(name, child, mi.ParamFlags.Differentiable)
 
         def _changed(self, keys: Any) -> None:
-            own = {"control_points", "to_world", "instances", "texcoords"}
+            own = {"control_points", "to_world", "instances", "trim_points", "texcoords"}
             if keys and not (own | set(self._attributes)) & set(keys):
                 return
             tensor = self.control_points
@@ -285,6 +294,7 @@ def make_shape_class() -> type:
                 patches, matrix, exposed = self.state.changed(values, read_affine(self.to_world))
                 self._need_area(patches)
                 instances = self._changed_instances()
+                trims = self._changed_trims()
                 count = len(patches)
                 corners = self.texture_corners
                 if self.texcoords is not None:
@@ -304,8 +314,32 @@ def make_shape_class() -> type:
             self.state.exposed = exposed
             if not keys or own & set(keys):
                 self.state.instances = instances
+                if trims is not self.state.trims:
+                    self.state.trims, self.kept_leaves = trims, None
                 self.state.place(patches, matrix)
                 self._commit()
+
+        def _changed_trims(self) -> Trims | None:
+            """Return the trims that the points of their curves stand for, checked."""
+            old = self.state.trims
+            if old is None or self.trim_points is None:
+                return old
+            values = np.array(self.trim_points, dtype=np.float64).reshape(self.trim_points.shape)
+            known, index = self.trim_rows
+            if values.shape != known.shape:
+                raise NetError.expected("trim_points", f"shape {known.shape}", f"{values.shape}")
+            if np.array_equal(values.astype(np.float32), known.astype(np.float32)):
+                return old
+            # float64 numbers stay as long as nobody changed what float32 shows of them
+            values = np.where(values == known.astype(np.float32), known, values)
+            curves = iter([values[rows] for rows in index])
+            regions = [[next(curves) for _curve in region] for region in old.regions]
+            try:
+                trims = Trims(regions, old.region, old.square, old.place, old.arc)
+            except GeometryError as error:
+                raise NetError(f"trim_points: {error}") from None
+            self.trim_rows = values, index
+            return trims
 
         def _changed_instances(self) -> np.ndarray | None:
             """Return the maps of instances that the parameter stands for, checked."""
@@ -323,6 +357,8 @@ def make_shape_class() -> type:
             matrix = mi.Matrix4f(self.state.object_to_world.tolist())
             mi.set_property(self.control_points, _tensor(self.state.exposed))
             mi.set_property(self.to_world, mi.Transform4f(matrix))
+            if self.trim_points is not None and self.trims is not None:
+                mi.set_property(self.trim_points, _tensor(self.trim_rows[0]))
             if self.instances is not None:
                 mi.set_property(self.instance_maps, _tensor(self.instances[:, :3]))
             if self.texture_corners is not None:

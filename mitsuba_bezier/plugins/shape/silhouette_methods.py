@@ -3,8 +3,9 @@
 Samples are `mi.SilhouetteSample3f`. Their ``uv`` are the parameters in the patch ``prim_index``,
 whatever texture coordinates the shape has; ``n`` points away from the surface, across ``d`` and
 the curve, also where the normal of the surface points the other way; ``projection_index`` is the
-segment of an edge, ``scene_index`` 1 + the number of the instance, or 0. Trimmed shapes raise
-`BezierError`, and those with instances where an interaction does not tell the instance.
+segment of an edge, ``scene_index`` 1 + the number of the instance, or 0. Shapes with
+instances raise `BezierError` where an interaction does not tell which, and trimmed ones where it
+would have to tell the curve.
 """
 
 from __future__ import annotations
@@ -87,6 +88,7 @@ def invert_silhouette_sample(shape: Any, ss: Any, active: Any = True) -> Any:
     ``ss.flags`` tell which kinds it was drawn from.
     """
     kinds = mi.DiscontinuityFlags
+    _need_whole(shape)
     lines = _lines(shape)
     both = (ss.flags & kinds.AllTypes.value) == kinds.AllTypes.value
     is_edge = ss.discontinuity_type == kinds.PerimeterType.value
@@ -229,8 +231,17 @@ def primitive_silhouette_projection(
     return _sample(shape, line, int(getattr(flags, "value", flags)))
 
 
+def _need_whole(shape: Any) -> None:
+    """Refuse trims: of a trimming curve no segment is found by a point."""
+    if shape.trims is not None:
+        raise BezierError.expected(
+            f'shape "{shape.id()}"', "no trims where an outline is to be found by a point", "trims"
+        )
+
+
 def _need_one(shape: Any) -> None:
-    """Refuse instances: an interaction does not tell which of them it is on."""
+    """Refuse instances: an interaction does not tell which of them it is on; and trims."""
+    _need_whole(shape)
     if shape.instances is not None:
         raise BezierError.expected(
             f'shape "{shape.id()}"', "no instances where an interaction is to tell one", "instances"
