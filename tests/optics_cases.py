@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import mitsuba_bezier as mb
 from mitsuba_bezier.optics import (
     AIR,
     Abbe,
     Constant,
     Lens,
     Surface,
+    beam,
+    pupil_grid,
     surface_shape,
     used_semi_diameters,
 )
@@ -49,6 +53,30 @@ def lens_of(record: dict[str, Any]) -> Lens:
     )
 
 
+def lens_at(record: dict[str, Any], row: dict[str, Any]) -> Lens:
+    """Return the recorded lens with its indices at one of its three wavelengths, and three fields.
+
+    `row` is one of ``record["spectrum"]``.
+    """
+    lens = lens_of(record)
+    # the aperture as the size of the beam: an f-number would be another at each wavelength
+    surfaces = [
+        replace(s, medium=AIR if s.mirror else Constant(n))
+        for s, n in zip(lens.surfaces, row["n"][1:-1], strict=True)
+    ]
+    return replace(
+        lens,
+        surfaces=surfaces,
+        wavelengths=[row["wavelength"]],
+        fields=[(0.0, share * record["field"]) for share in (0, 0.7, 1.0)],
+    )
+
+
+def recorded_beam(record: dict[str, Any], field: tuple[float, float]) -> tuple[Any, Any]:
+    """Return the rays of which spots are recorded: through the paraxial pupil at d."""
+    return beam(lens_of(record), field, pupil_grid(4), aim=False)
+
+
 def phone_lens() -> Lens:
     """Three aspheres in plastic to r^16, as in telephones: the fields are 0 and 25 degrees."""
     plastic, dense = Abbe(1.5445, 55.9), Abbe(1.6398, 23.3)
@@ -65,13 +93,27 @@ def phone_lens() -> Lens:
 
 
 def by_kernels(
-    lens: Lens, o: np.ndarray, d: np.ndarray, wavelength: float, aspheres: bool = False
+    lens: Lens, o: np.ndarray, d: np.ndarray, wavelength: float, met_as: str = "cap"
 ) -> np.ndarray:
     """Return points ``(N, 3)`` on the image plane; NaN for rays that miss a surface.
 
-    Rays go from shape to shape by `shape.ray_intersect` in float32; refraction and the way to the
-    image are in float64, with the kernel's points and normals. With `aspheres` conics are met as
-    aspheres, too.
+    See `rays_by_kernels`.
+    """
+    o, d = rays_by_kernels(lens, o, d, wavelength, met_as)
+    frame = lens.frames()[-1]
+    local, along = (o - frame[:3, 3]) @ frame[:3, :3], d @ frame[:3, :3]
+    return local - along * (local[:, 2:] / along[:, 2:])
+
+
+def rays_by_kernels(
+    lens: Lens, o: np.ndarray, d: np.ndarray, wavelength: float, met_as: str = "cap"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points on the last surface and directions behind it; NaN for rays that miss one.
+
+    Rays go from shape to shape by `shape.ray_intersect` in float32; refraction is in float64, with
+    the kernel's points and normals. Surfaces are the patches of `surface_patches` (``cap``),
+    aspheres (``asphere``), or, if they are spheres, whole ones by a cover (``octants``,
+    ``tetrahedral``).
     """
     import mitsuba as mi
 
@@ -84,7 +126,15 @@ def by_kernels(
     for i, (surface, radius) in enumerate(zip(lens.surfaces, radii)):
         # built in the surface's own frame: `to_world` is carried in float64
         shape = surface_shape(surface, float(radius))
-        if aspheres:
+        turned = 2 * radius
+        if met_as in ("octants", "tetrahedral") and surface.curvature and not surface.conic:
+            r = 1 / surface.curvature
+            net = mb.sphere((0, 0, r), abs(r), cover=met_as)
+            shape = {"type": "beziertriangle", "control_points": net}
+            # from inside, if that is where light comes from: the other side stays behind
+            if r * lens.directions()[i] < 0:
+                turned = 1.05 * abs(float(surface.sag(radius)))
+        elif met_as == "asphere":
             shape = {
                 "type": "asphere",
                 "curvature": surface.curvature,
@@ -96,7 +146,7 @@ def by_kernels(
         shape = mi.load_dict({**shape, "to_world": frames[i]})
         # from a radius in front of the vertex, so that t is small in float32
         vertex, axis = frames[i][:3, 3], frames[i][:3, 2]
-        start = ((vertex - o) @ axis - 2 * radius * lens.directions()[i]) / (d @ axis)
+        start = ((vertex - o) @ axis - turned * lens.directions()[i]) / (d @ axis)
         start = o + start[:, None] * d
         ray = mi.Ray3f(mi.Point3f(start.T), mi.Vector3f(d.T))
         si = shape.ray_intersect(ray)
@@ -108,6 +158,4 @@ def by_kernels(
             d = refract(d, n, np.full(len(d), index[i]), np.full(len(d), index[i + 1]))
         d = d / np.linalg.norm(d, axis=1, keepdims=True)
         o = p
-    turn, move = frames[-1][:3, :3], frames[-1][:3, 3]
-    local, along = (o - move) @ turn, d @ turn
-    return local - along * (local[:, 2:] / along[:, 2:])
+    return o, d

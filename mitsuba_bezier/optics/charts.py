@@ -229,11 +229,13 @@ def draw_focus(lens: Lens, frequency: float | None = None) -> Any:
     figure = new_figure(10, 2.1 * len(fields) + 4)
     grid = figure.add_gridspec(len(fields) + 2, 2 * _SPOTS)
     stops = np.linspace(-reach, reach, _SPOTS)
-    size = 1.1 * max(_extent(rays, z) for rays in beams for z in stops[1:-1])
+    size = 1.1 * max(
+        1e-12, *(np.abs(_centred_spot(rays, z)).max() for rays in beams for z in stops)
+    )
     for row, (field, rays) in enumerate(zip(fields, beams)):
         for column, z in enumerate(stops):
             axes = figure.add_subplot(grid[row, 2 * column : 2 * column + 2])
-            p = rays.moved(z) - rays.weights @ rays.points
+            p = _centred_spot(rays, z)
             colour = COLOURS[row % len(COLOURS)]
             axes.scatter(p[:, 1], p[:, 0], s=1, linewidths=0, color=colour, rasterized=True)
             axes.set(xlim=(-size, size), ylim=(-size, size), aspect="equal", xticks=[], yticks=[])
@@ -268,6 +270,6 @@ def draw_focus(lens: Lens, frequency: float | None = None) -> Any:
     return figure
 
 
-def _extent(rays: Arrivals, z: float) -> float:
-    p = rays.moved(z) - rays.weights @ rays.points
-    return max(float(np.abs(p).max()), 1e-12)
+def _centred_spot(rays: Arrivals, z: float) -> np.ndarray:
+    p = rays.moved(z)
+    return p - rays.weights @ p

@@ -62,7 +62,7 @@ def draw_section(lens: Lens, rays: int = 7) -> Any:
     RuntimeSetupError
         Without matplotlib.
     """
-    figure = new_figure(16, 9)
+    figure = new_figure(12, 6.75)
     axes = figure.add_subplot()
     sizes = clear_radii(lens)
     frames = lens.frames()

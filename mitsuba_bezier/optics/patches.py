@@ -9,12 +9,12 @@ import numpy as np
 from ..errors import GeometryError, PrescriptionError
 from ..geometry.aspheres import EvenAsphere
 from ..geometry.revolution import band, cap, disk_sectors
-from ..geometry.tensor import tensor_to_triangles
 from ..geometry.triangles import BezierTriangles
 from .beams import used_semi_diameters
 from .checks import check_body, matrix
 from .coatings import coating as films
-from .glass import spelled
+from .glass import absorbing, spelled
+from .iris import check_blades, stop_patches
 from .lens import Lens, Surface
 
 #: Reflectance of black paint and anodised metal.
@@ -144,22 +144,7 @@ def rim_patches(low: tuple[float, float], high: tuple[float, float]) -> BezierTr
 
 def annulus_patches(inner: float, outer: float) -> BezierTriangles:
     """Return a flat ring around the axis in the plane z = 0: a stop. Normals are along -z."""
-    arcs = []
-    for r in (inner, outer):
-        third = np.pi / 3
-        corners = [[r * np.cos(a), r * np.sin(a), 0, 1] for a in (-third, third)]
-        # a third of a circle: weight cos(60 degrees), and the point twice as far out
-        arcs.append(np.array([corners[0], [r, 0, 0, 0.5], corners[1]]))
-    ring = tensor_to_triangles(np.array(arcs))
-    turns = []
-    for k in range(3):
-        a = 2 * np.pi * k / 3
-        matrix = np.eye(4)
-        matrix[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
-        turns.append(ring.transform(matrix).control_points)
-    patches = BezierTriangles(np.concatenate(turns))
-    normal = patches.normals(0, np.full((1, 2), 1 / 3))[0]
-    return patches if normal[2] < 0 else patches.transform(np.diag([1.0, -1.0, 1.0, 1.0]))
+    return stop_patches(inner, outer)
 
 
 def clear_radii(lens: Lens) -> np.ndarray:
@@ -187,6 +172,9 @@ def lens_shapes(
     stop: bool = True,
     dispersion: bool = False,
     coating: str = "none",
+    blades: int = 0,
+    blade_rotation: float = 0.0,
+    absorption: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Return the shapes of a lens for a scene dictionary.
 
@@ -207,6 +195,10 @@ def lens_shapes(
         Whether glass is `dispersive`, and not a dielectric of one index.
     coating : str
         Thin films on the surfaces that meet air, see `coating`; they need `dispersive` glass.
+    blades, blade_rotation : int, float
+        A polygonal iris whose corners lie on the round stop, as those of the sensor ``lens``.
+    absorption : bool
+        Whether glass absorbs as its catalogue says; that takes the integrator ``beziervolpath``.
 
     Returns
     -------
@@ -228,8 +220,13 @@ def lens_shapes(
     w = lens.wavelengths[lens.reference] if wavelength is None else wavelength
     world = np.eye(4) if to_world is None else matrix("to_world", to_world)
     films(coating)  # an error, if there are no such films
+    check_blades(blades, blade_rotation)
+    if blades and not any(s.stop for s in lens.surfaces):
+        raise PrescriptionError("stop: expected a surface that has the blades, got none")
     n, radii, media = lens.indices(w), clear_radii(lens), lens.media()
-    frames = world @ lens.frames()
+    frames, directions = world @ lens.frames(), lens.directions()
+    # scene units in a millimetre
+    unit = float(np.cbrt(abs(np.linalg.det(world[:3, :3])))) / lens.millimetres
     check_body(lens)
     shapes: dict[str, dict[str, Any]] = {}
 
@@ -243,6 +240,13 @@ def lens_shapes(
     def add_surface(i: int, bsdf: dict[str, Any]) -> None:
         shape = surface_shape(lens.surfaces[i], radii[i], frames[i])
         shapes[f"surface-{i + 1}"] = {**shape, "bsdf": bsdf}
+        if absorption and not lens.surfaces[i].mirror:
+            sides = (media[i], media[i + 1])
+            # normals are on the side of the surface's negative z
+            for name, medium in zip(("exterior", "interior"), sides[:: int(directions[i])]):
+                fog = absorbing(medium, unit)
+                if any(fog["sigma_t"]["value"]):
+                    shapes[f"surface-{i + 1}"][name] = fog
 
     for i, s in enumerate(lens.surfaces):
         try:
@@ -267,7 +271,7 @@ def lens_shapes(
             outer = max(1.5 * radii[i], radii[max(i - 1, 0)], radii[min(i + 1, len(radii) - 1)])
             add(
                 "stop",
-                annulus_patches(radii[i], outer),
+                stop_patches(radii[i], outer, blades, blade_rotation),
                 frames[i],
                 black_paint(),
             )

