@@ -37,7 +37,8 @@ html_copy_source = False  # the pages are in the repository
 html_theme_options = {"navigation_with_keys": True}
 templates_path: list[str] = []
 
-myst_enable_extensions = ["colon_fence", "deflist"]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+html_math_renderer = "mathml"  # ours: browsers draw it without a script from elsewhere
 myst_heading_anchors = 4  # links to sections, as on the pages of a repository
 # figures of tables, such as C1, are no list of names
 myst_links_external_new_tab = False

@@ -45,6 +45,7 @@ def sentences(text: str) -> list[str]:
 def _split(paragraph: str) -> list[str]:
     paragraph = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", paragraph)  # links are their words
     paragraph = re.sub(r"`[^`]*`", "code", paragraph)  # code is a word
+    paragraph = re.sub(r"(\$+)[^$]+\1", "formula", paragraph)  # and a formula one
     paragraph = re.sub(r"\b(e\.g|i\.e|etc|cf|Fig|vs)\.", r"\1", paragraph)
     return [s for s in re.split(r"(?<=[.!?])[*_)\"”]*\s+", paragraph) if count(s)]
 

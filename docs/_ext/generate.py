@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import textwrap
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -25,7 +26,13 @@ PACKAGE = Path(mitsuba_bezier.__file__).parent
 
 def all_pages(folder: Path) -> None:
     """Write all pages; a page that has not changed keeps its time, so that Sphinx skips it."""
-    pages = {"commands.md": commands(), "plugins.md": plugins(), "api.md": api(), **lecture()}
+    pages = {
+        "commands.md": commands(),
+        "plugins.md": plugins(),
+        "api.md": api(),
+        **modules(),
+        **lecture(),
+    }
     folder.mkdir(exist_ok=True)
     for old in folder.iterdir():
         if old.name not in pages:
@@ -282,20 +289,54 @@ def api() -> str:
     parts = [
         "# Names in Python",
         "All names of `import mitsuba_bezier as mb`. The examples run in the tests, each by "
-        "itself, after these lines:",
+        "itself, after these lines. [Fitting](api-fit.md), [figures](api-figures.md) and "
+        "[optics](api-optics.md) have pages of their own.",
         "```python\nimport mitsuba as mi\nimport mitsuba_bezier as mb\nimport numpy as np\n```",
     ]
     for title, names in GROUPS.items():
         parts.append(f"## {title}")
         for name in names:
-            value = getattr(mitsuba_bezier, name)
-            is_error = isinstance(value, type) and issubclass(value, Exception)
-            kind = "autoexception" if is_error else "autofunction"
-            options = ""
-            if isinstance(value, type) and not is_error:
-                kind, options = "autoclass", "\n   :members:"
-            parts.append(f"```{{eval-rst}}\n.. {kind}:: mitsuba_bezier.{name}{options}\n```")
+            parts.append(_entry(f"mitsuba_bezier.{name}", getattr(mitsuba_bezier, name)))
     return "\n\n".join(parts) + "\n"
+
+
+#: Modules with pages of their own, by what their names are for, and the extra that some names need.
+MODULES = {
+    "fit": ("Fitting", "find surfaces from pictures", "fit", "fitting"),
+    "figures": ("Figures", "draw in the plane, in space, and over a render", "figures", "lecture"),
+    "optics": ("Optics", "read, trace, judge and show lenses", "optics", "lenses"),
+}
+
+
+def modules() -> dict[str, str]:
+    """Return a page for each module whose names are no names of the package itself."""
+    pages = {}
+    for name, (title, purpose, extra, guide) in MODULES.items():
+        module = import_module(f"mitsuba_bezier.{name}")
+        parts = [
+            f"# {title}: `mitsuba_bezier.{name}`",
+            f'Names that {purpose} (`pip install ".[{extra}]"`). '
+            f"The [guide](../{guide}.md) says how they go together.",
+        ]
+        parts += [
+            _entry(f"mitsuba_bezier.{name}.{one}", getattr(module, one)) for one in module.__all__
+        ]
+        pages[f"api-{name}.md"] = "\n\n".join(parts) + "\n"
+    return pages
+
+
+def _entry(path: str, value: object) -> str:
+    """Return what has autodoc show a name."""
+    kind, options = "autofunction" if callable(value) else "autodata", ""
+    if isinstance(value, type):
+        kind, options = "autoclass", "\n   :members:"
+        if all(member.startswith("_") for member in vars(value)):  # all comes from its bases
+            options += "\n   :inherited-members:"
+        if issubclass(value, Exception):
+            kind, options = "autoexception", ""
+    if kind == "autodata":
+        options = "\n   :no-value:"
+    return f"```{{eval-rst}}\n.. {kind}:: {path}{options}\n```"
 
 
 # The lecture, a page a section

@@ -53,7 +53,26 @@ def _links(_app: Any, docname: str, source: list[str]) -> None:
     source[0] = lead(docname, source[0])
 
 
+def _formula(display: str) -> Any:
+    """Return what writes a formula as MathML, which browsers draw by themselves."""
+
+    def visit(writer: Any, node: Any) -> None:
+        from docutils.nodes import SkipNode
+        from latex2mathml.converter import convert
+
+        formula = convert(node.astext(), display=display)
+        # signs of derivatives are raised as they are; as exponents they fly off
+        prime = r"<msup>(<mi>.</mi>)<mi>(&#x0203[23];)</mi></msup>"
+        formula = re.sub(prime, r'\1<mo lspace="0" rspace="0">\2</mo>', formula)
+        writer.body.append(formula)
+        raise SkipNode
+
+    return visit
+
+
 def setup(app: Any) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("source-read", _links)
+    formulas = (_formula("inline"), None), (_formula("block"), None)
+    app.add_html_math_renderer("mathml", *formulas)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -34,7 +34,15 @@ __all__ = ["SUFFIXES", "Drawing", "draw", "isoparametric", "names", "overlay", "
 
 
 class Drawing(Schemes):
-    """A drawing of the plane (`plane`), of space (`space`), or over a render (`overlay`)."""
+    """A drawing of the plane (`plane`), of space (`space`), or over a render (`overlay`).
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> drawing = figures.plane((-0.5, 4.5), (-0.5, 2.5))
+    >>> drawing.curve(mb.BezierCurve.from_points([[0, 0], [1, 2], [3, 2], [4, 0]]))
+    >>> drawing.save("curve.svg")
+    """
 
 
 def plane(x: Any, y: Any, style: str = "screen") -> Drawing:
@@ -53,6 +61,13 @@ def plane(x: Any, y: Any, style: str = "screen") -> Drawing:
         If a range is none.
     RuntimeSetupError
         Without the extra ``figures``.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> drawing = figures.plane((0, 4), (0, 2), style="print")
+    >>> drawing.point([1, 1], "P")
+    >>> drawing.save("point.pdf")
     """
     a, b = numbers(x, "x"), numbers(y, "y")
     for name, r in (("x", a), ("y", b)):
@@ -63,7 +78,17 @@ def plane(x: Any, y: Any, style: str = "screen") -> Drawing:
 
 
 def space(camera: Camera, style: str = "screen") -> Drawing:
-    """Return an empty drawing of space as a camera sees it, in the pixels of its film."""
+    """Return an empty drawing of space as a camera sees it, in the pixels of its film.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> to_world = mi.ScalarTransform4f().look_at([0, -5, 2], [0, 0, 0], [0, 0, 1])
+    >>> camera = mb.Camera(np.array(to_world.matrix), fov=40, film_size=(320, 240))
+    >>> drawing = figures.space(camera)
+    >>> drawing.point([0, 0, 0], "origin")
+    >>> drawing.save("space.svg")
+    """
     if not isinstance(camera, Camera):
         raise GeometryError.expected("camera", "a Camera", f"{type(camera).__name__}")
     return Drawing(camera_window(camera), camera.image_matrix, style, down=True)
@@ -88,6 +113,14 @@ def overlay(render: Any, camera: Camera, style: str = "screen", fade: float = 0.
     ------
     GeometryError
         If the picture has other proportions than the film.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> to_world = mi.ScalarTransform4f().look_at([0, -5, 2], [0, 0, 0], [0, 0, 1])
+    >>> camera = mb.Camera(np.array(to_world.matrix), fov=40, film_size=(32, 24))
+    >>> drawing = figures.overlay(np.full((24, 32, 3), 0.5), camera, fade=0.5)
+    >>> drawing.save("over.png")
     """
     drawing = space(camera, style)
     picture = _picture(render)
@@ -152,7 +185,14 @@ def _exr(path: str) -> np.ndarray:
 
 
 def names() -> dict[str, str]:
-    """Return the lecture's figures: their names, and what each shows."""
+    """Return the lecture's figures: their names, and what each shows.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> "decasteljau" in figures.names()
+    True
+    """
     from .catalogue import CATALOGUE
 
     return {name: (make.__doc__ or "").strip().splitlines()[0] for name, make in CATALOGUE.items()}
@@ -173,6 +213,11 @@ def draw(name: str, style: str = "screen", **arguments: Any) -> Drawing:
     ------
     GeometryError
         If there is no such figure, or it does not take an argument, or not this value.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> figures.draw("decasteljau", t=0.7).save("scheme.svg")
     """
     import inspect
 

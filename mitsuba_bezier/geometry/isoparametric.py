@@ -25,6 +25,13 @@ def isoparametric(patches: BezierTriangles, patch: int, start: Any, end: Any) ->
     patch : int
     start, end : (3,) array_like
         Barycentric coordinates of the ends of the segment.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier import figures
+    >>> curve = figures.isoparametric(mb.sphere(), 0, (1, 0, 0), (0, 1, 0))
+    >>> curve.degree
+    4
     """
     net, n = patches.control_points[patch], patches.degree
     a, b = elements("start", start, (3,)), elements("end", end, (3,))

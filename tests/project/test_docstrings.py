@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import mitsuba_bezier as mb
+from mitsuba_bezier import figures
 
 PACKAGE = Path(mb.__file__).parent
 MODULES = [
@@ -66,6 +67,11 @@ def test_examples_run(name, variant, tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", sorted(set(mb.__all__) - PLAIN))
 def test_each_public_name_has_an_example(name):
     assert ">>> " in (inspect.getdoc(getattr(mb, name)) or ""), name
+
+
+@pytest.mark.parametrize("name", sorted(set(figures.__all__) - {"SUFFIXES"}))
+def test_each_name_of_figures_has_an_example(name):
+    assert ">>> " in (inspect.getdoc(getattr(figures, name)) or ""), name
 
 
 @pytest.mark.parametrize("kind", [mb.BezierTriangles, mb.BezierCurve, mb.Camera])

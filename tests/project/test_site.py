@@ -29,7 +29,14 @@ PAGES = module("docs_site_pages", DOCS / "_ext" / "site_pages.py")
 
 
 def test_the_site_builds_and_its_pages_hold_together(tmp_path):
-    for package in ("sphinx", "furo", "myst_parser", "sphinx_design", "sphinx_gallery"):
+    for package in (
+        "sphinx",
+        "furo",
+        "myst_parser",
+        "sphinx_design",
+        "sphinx_gallery",
+        "latex2mathml",
+    ):
         pytest.importorskip(package, reason="pip install '.[docs]'")
     command = [sys.executable, str(DOCS / "build.py"), "--out", str(tmp_path / "html")]
     environment = {**os.environ, "MITSUBA_BEZIER_GALLERY": "0"}  # its scripts run in .ci/run
@@ -38,6 +45,11 @@ def test_the_site_builds_and_its_pages_hold_together(tmp_path):
     assert "no faults" in done.stdout
     built = {path.relative_to(tmp_path / "html").as_posix() for path in tmp_path.rglob("*.html")}
     assert {"index.html", "quickstart.html", "generated/api.html"} <= built
+    # formulas are drawn by the browser, without a script, and none is left as it was written
+    report = (tmp_path / "html" / "paper.html").read_text(encoding="utf-8")
+    assert report.count("<math ") > 40 and "$" not in re.sub(
+        r"<script.*?</script>", "", report, flags=re.S
+    )
     # every page of the repository is one of the site, the lecture in pieces
     pages = {p.relative_to(DOCS).with_suffix(".html").as_posix() for p in BUILD.pages()}
     assert pages - built == {"lecture.html"}
