@@ -393,7 +393,6 @@ SITUATIONS = [
         4096,
         OUTLINES,
         PATH,
-        missing="outlines have derivatives where the camera, or a rough surface, sees them itself",
     ),
     Situation(
         "trim",
@@ -403,7 +402,6 @@ SITUATIONS = [
         4096,
         OUTLINES,
         PATH,
-        missing="outlines of trimmed patches have none",
     ),
     Situation(
         "instance",

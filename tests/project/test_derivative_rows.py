@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,3 +81,23 @@ def test_a_row():
 
     row = SITUATIONS[0]
     assert verdict(row, measure(row, seeds=2, spp=0.02)) == "pass"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what a process holds is read from /proc")
+def test_steps_of_a_fit_hold_no_memory():
+    import derivative_costs as costs
+
+    net = costs.patches()
+    tensor = mi.TensorXf(net.astype("float32").ravel(), shape=net.shape)
+    glass = {"type": "beziertriangle", "control_points": tensor, "bsdf": {"type": "dielectric"}}
+    scene = costs.scene_of(glass, 8, lens=True)
+    step = costs.stepper(scene, "shape.control_points", {"type": "bezierpath"}, 1)
+    with warnings.catch_warnings():  # of the lens's outline, which is not in view
+        warnings.simplefilter("ignore", mb.DerivativeWarning)
+        for k in range(5):
+            step(k)
+        early = costs.held()
+        for k in range(5, 15):
+            step(k)
+    # 10 structures of 32 patches, or 10 graphs, would be more than that
+    assert costs.held() - early < 4
