@@ -118,7 +118,8 @@ def minimize(
         Equal seeds give equal searches.
     checkpoint : path-like, optional
         Written every `every` seconds, at the end and at Ctrl-C. If it is there, the search goes on
-        from it, and ends where an uninterrupted one does, but for the order in which threads add.
+        from it. One by Adam ends where an uninterrupted one does, but for the order in which
+        threads add; L-BFGS learns curvatures anew.
     progress : bool, optional
         Show step, loss and time left; by default on a terminal.
     callback : callable, optional
@@ -132,7 +133,8 @@ def minimize(
     -----
     UserWarning
         If the search stopped early: a loss that is not finite, or no valid step. The scene and the
-        checkpoint keep the last state that was good.
+        checkpoint keep the last state that was good. At the first step that is halved. If a
+        checkpoint cannot be written, without which the search goes on.
 
     Raises
     ------
@@ -157,22 +159,40 @@ def minimize(
     """
     if method not in ("adam", "l-bfgs"):
         raise BezierError.expected("method", '"adam" or "l-bfgs"', repr(method))
+    if "_ad_" not in (variant := import_mitsuba().variant() or "none"):
+        raise BezierError.expected("variant", "one with derivatives (llvm_ad_rgb)", variant)
+    if not isinstance(unknowns, Mapping):
+        raise BezierError.expected(
+            "unknowns", "a dict of names to parametrizations", type(unknowns).__name__
+        )
+    for at, how in (refine or {}).items():
+        if not isinstance(at, (int, np.integer)) or at < 0 or how not in ("elevate", "split"):
+            raise BezierError.expected(
+                "refine", 'steps with "elevate" or "split" each', f"{at!r}: {how!r}"
+            )
     if refine and method != "adam":
         raise BezierError.expected("refine", 'none with method "l-bfgs"', refine)
     if refine and not any(getattr(item, "can_refine", False) for item in unknowns.values()):
         raise BezierError.expected("refine", "an unknown Net among the parameters", "none")
     for name, number in (("steps", steps), ("spp", spp)):
-        if not isinstance(number, (int, np.integer)) or number < 1:
+        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
             raise BezierError.expected(name, "a whole number above zero", number)
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        raise BezierError.expected("seed", "a whole number", repr(seed))
     for name, real in (("rate", rate), ("every", every)):
-        if not real > 0:
-            raise BezierError.expected(name, "a number above zero", real)
-    if not smoothing >= 0:
-        raise BezierError.expected("smoothing", "zero or more", smoothing)
-    if views is not None and (method != "adam" or views < 1):
+        if not isinstance(real, (int, float, np.number)) or not 0 < real < np.inf:
+            raise BezierError.expected(name, "a number above zero", repr(real))
+    if not isinstance(smoothing, (int, float, np.number)) or not 0 <= smoothing < np.inf:
+        raise BezierError.expected("smoothing", "zero or more", repr(smoothing))
+    if views is not None and (
+        method != "adam" or not isinstance(views, (int, np.integer)) or views < 1
+    ):
         raise BezierError.expected("views", 'one or more, and method "adam"', views)
-    images = _images(scene, targets, objective, integrator, loss, spp, views)
-    problem = Problem(scene, unknowns, images, terms, smoothing)
+    for name, function in (("objective", objective), ("callback", callback)):
+        if function is not None and not callable(function):
+            raise BezierError.expected(name, "a function", repr(function))
+    images, wanted = _images(scene, targets, objective, integrator, loss, spp, views)
+    problem = Problem(scene, unknowns, images, terms, smoothing, wanted)
     search = Search(problem, int(steps), rate, method, dict(refine or {}), seed, checkpoint, every)
     with _display(progress, steps, callback) as show:
         if method == "adam":
@@ -205,8 +225,8 @@ def _images(
     loss: Any,
     spp: int,
     views: int | None,
-) -> Callable[[Any, int], Iterator[Any]]:
-    """Return the function that yields the losses of a step, one by one."""
+) -> tuple[Callable[[Any, int], Iterator[Any]], np.ndarray | None]:
+    """Return the function that yields the losses of a step, one by one, and small targets."""
     mi = import_mitsuba()
     if (targets is None) == (objective is None):
         raise BezierError.expected(
@@ -219,23 +239,36 @@ def _images(
         def own(params: Any, seed: int) -> Iterator[Any]:
             yield objective(params, seed)
 
-        return own
+        return own, None
     if isinstance(loss, str):
         if loss not in LOSSES:
             raise BezierError.expected("loss", '"l2", "l1" or a function', repr(loss))
-        loss = LOSSES[loss]
-    if isinstance(integrator, str):
-        integrator = {"type": integrator}
-    if isinstance(integrator, Mapping):
-        integrator = mi.load_dict(dict(integrator))
+        loss, plain = LOSSES[loss], True
+    elif not callable(loss):
+        raise BezierError.expected("loss", '"l2", "l1" or a function', repr(loss))
+    else:
+        plain = False
+    integrator = _integrator(integrator)
+    if not isinstance(targets, (Mapping, list, tuple)):
+        got = f"shape {targets.shape}" if hasattr(targets, "shape") else type(targets).__name__
+        if not (hasattr(targets, "ndim") and targets.ndim == 4):
+            raise BezierError.expected("targets", "a list of images, or a dict", got)
     items = targets.items() if isinstance(targets, Mapping) else enumerate(targets)
     wanted = {}
     for index, image in items:
-        if not 0 <= index < len(scene.sensors()):
+        if not isinstance(index, (int, np.integer)) or not 0 <= index < len(scene.sensors()):
             raise BezierError.expected(
                 "targets", f"images of sensors 0 to {len(scene.sensors()) - 1}", f"sensor {index}"
             )
-        wanted[index] = image = mi.TensorXf(image)
+        if not isinstance(image, mi.TensorXf):
+            # Dr.Jit does not come back from a name of a file
+            numbers = np.asarray(image)
+            if numbers.dtype.kind not in "fiub" or numbers.ndim < 2:
+                raise BezierError.expected(
+                    f"targets[{index}]", "an image (rows, columns, channels)", repr(image)[:60]
+                )
+            image = mi.TensorXf(numbers.astype(np.float32))
+        wanted[index] = image
         width, height = scene.sensors()[index].film().crop_size()
         if tuple(image.shape[:2]) != (height, width):
             raise BezierError.expected(
@@ -261,9 +294,39 @@ def _images(
                 seed=base % 2**32,
                 seed_grad=(base + 1) % 2**32,
             )
+            if plain and tuple(image.shape) != tuple(target.shape):
+                raise BezierError.expected(
+                    f"targets[{index}]", f"shape {tuple(image.shape)}", tuple(target.shape)
+                )
             yield loss(image, target)
 
-    return rendered
+    return rendered, np.concatenate([_small(image) for image in wanted.values()])
+
+
+def _integrator(given: Any) -> Any:
+    """Return the integrator that is named or described."""
+    mi = import_mitsuba()
+    if isinstance(given, str):
+        given = {"type": given}
+    if isinstance(given, Mapping):
+        try:
+            given = mi.load_dict(dict(given))
+        except RuntimeError as error:
+            last = str(error).strip().split("\n")[-1].strip()
+            raise BezierError.expected("integrator", "one of Mitsuba's or ours", last) from None
+    if not isinstance(given, mi.Integrator):
+        raise BezierError.expected("integrator", "a name, dict or integrator", repr(given))
+    return given
+
+
+def _small(image: Any) -> np.ndarray:
+    """Return an image of at most 8 x 8 means, as one row of numbers."""
+    values = np.array(image, dtype=np.float64)
+    values = values.reshape(*values.shape[:2], -1).mean(axis=2)
+    for axis in (0, 1):
+        parts = np.array_split(values, min(8, values.shape[axis]), axis=axis)
+        values = np.stack([part.mean(axis=axis) for part in parts], axis=axis)
+    return values.ravel()
 
 
 @contextmanager

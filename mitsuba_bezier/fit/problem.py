@@ -48,6 +48,8 @@ class Problem:
         Weight, name of a parameter, and a function of its value that gives a number.
     smoothing : float
         Strength of the preconditioner for unknowns that have a Laplacian.
+    wanted : array, optional
+        Small copies of the targets, by which a checkpoint is known.
     """
 
     def __init__(
@@ -57,8 +59,9 @@ class Problem:
         images: Callable[[Any, int], Any],
         terms: Sequence[tuple[float, str, Callable[[Any], Any]]],
         smoothing: float,
+        wanted: np.ndarray | None = None,
     ) -> None:
-        if not unknowns:
+        if not isinstance(unknowns, Mapping) or not unknowns:
             raise BezierError.expected("unknowns", "at least one parameter", "none")
         self.params: Any = _Loose() if scene is None else import_mitsuba().traverse(scene)
         for key, item in unknowns.items():
@@ -75,11 +78,34 @@ class Problem:
                     "a Parametrization (Net, Sphere, Values, ...)",
                     type(item).__name__,
                 )
-        for _weight, key, _function in terms:
-            if key not in unknowns:
+            self._check_differentiable(key)
+        for term in terms:
+            if not isinstance(term, Sequence) or len(term) != 3 or not callable(term[2]):
+                raise BezierError.expected("terms", "(weight, parameter, function) each", term)
+            if not np.isfinite(term[0]):
+                raise BezierError.expected("terms", "finite weights", term[0])
+            if (key := term[1]) not in unknowns:
                 raise BezierError.expected("terms", f"one of {', '.join(unknowns)}", key)
         self.images, self.terms, self.smoothing = images, terms, smoothing
+        self.wanted = np.zeros(0) if wanted is None else wanted
         self.take(unknowns)
+
+    def _check_differentiable(self, key: str) -> None:
+        """Raise an error if Mitsuba says that a parameter has no derivatives."""
+        if isinstance(self.params, _Loose):
+            return
+        mi = import_mitsuba()
+        plain = isinstance(self.params[key], (bool, int, float, str))
+        if plain or self.params.flags(key) & mi.ParamFlags.NonDifferentiable.value:
+            have = [
+                k
+                for k, v in self.params.items()
+                if not isinstance(v, (bool, int, float, str))
+                and not self.params.flags(k) & mi.ParamFlags.NonDifferentiable.value
+            ]
+            raise BezierError.expected(
+                "unknowns", f"parameters that have derivatives ({', '.join(have)})", key
+            )
 
     def take(self, unknowns: Mapping[str, Parametrization]) -> None:
         """Take parametrizations, at the beginning and after refinement."""
@@ -138,9 +164,12 @@ class Problem:
 
     def _fitting(self, key: str, value: Any) -> Any:
         """Return a value as what the parameter of the scene is."""
-        if isinstance(self.params, _Loose) or isinstance(value, type(self.params[key])):
+        if isinstance(self.params, _Loose):
             return value
-        return _as(type(self.params[key]), value)
+        now = self.params[key]
+        if isinstance(value, type(now)):
+            return value
+        return _as(key, now, value)
 
     def evaluate(self, x: np.ndarray, seed: int) -> tuple[float, np.ndarray]:
         """Return the loss of a vector, and its gradient.
@@ -155,9 +184,10 @@ class Problem:
         self.set(x, grad=True)
         total = 0.0
         for loss in self.images(self.params, seed):
+            loss, number = _number(loss, "loss")
             if dr.grad_enabled(loss):
                 dr.backward(loss)
-            total += float(np.ravel(np.array(loss))[0])
+            total += number
         leaves = {key: dr.grad(self.params[key]) for key in self.unknowns}
         gradient = np.zeros(len(x))
         for key, arrays in self.arrays(x).items():
@@ -169,10 +199,9 @@ class Problem:
             chained = _dot(self._fitting(key, value), leaves[key])
             for weight, name, function in self.terms:
                 if name == key:
-                    term = weight * function(value)
-                    term = term.array if dr.is_tensor_v(term) else term
-                    total += float(np.ravel(np.array(dr.detach(term)))[0])
-                    chained += term
+                    term, number = _number(weight * function(value), "terms")
+                    total += number
+                    chained += term.array if dr.is_tensor_v(term) else term
             # a parameter that nothing depends on is told by the search
             dr.backward(chained, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
             for place_key, name, place, _shape, scale in self.places:
@@ -204,15 +233,35 @@ def _dot(value: Any, gradient: Any) -> Any:
     return dr.sum(value * gradient)
 
 
-def _as(kind: Any, value: Any) -> Any:
+def _as(key: str, now: Any, value: Any) -> Any:
     """Return a tensor as what a parameter of the scene is: a colour, a point, an array."""
     import drjit as dr
 
+    kind = type(now)
     size = dr.size_v(kind)
+    count = int(np.prod(value.shape))
     if size == dr.Dynamic:
+        size = dr.width(now)
+        # one number stands for as many as are wanted
+        if size > 1 and count != size:
+            raise BezierError.expected(f"unknowns[{key!r}]", f"{size} numbers", f"{count}")
         return kind(value.array)
-    if int(np.prod(value.shape)) != size:
+    if count != size:
         raise BezierError.expected(
-            "unknowns", f"{size} numbers for a {kind.__name__}", f"shape {value.shape}"
+            f"unknowns[{key!r}]", f"{size} numbers for a {kind.__name__}", f"shape {value.shape}"
         )
     return kind(*(spread(value, entry, 1) for entry in range(size)))
+
+
+def _number(loss: Any, name: str) -> tuple[Any, float]:
+    """Return a loss that is one number, and that number."""
+    import drjit as dr
+
+    try:
+        numbers = np.ravel(np.array(dr.detach(loss), dtype=np.float64))
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.size != 1:
+        got = f"{numbers.size} numbers" if numbers.size else type(loss).__name__
+        raise BezierError.expected(name, "one number of Dr.Jit", got)
+    return loss, float(numbers[0])

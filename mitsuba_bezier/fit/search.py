@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BezierError
+from .._files import check_target
+from ..errors import BezierError, FileFormatError
 from . import checkpoint as checkpoints
 from .optimizers import Adam, Moments
 from .parametrization import Parametrization
@@ -76,8 +77,12 @@ class Search:
     def __post_init__(self) -> None:
         self.state = _State.at(self.problem.start)
         self.began = self.saved = time.perf_counter()
-        if self.checkpoint is not None and os.path.lexists(self.checkpoint):
-            self._resume()
+        self.first = self.problem.start.copy()
+        self._warned = False
+        if self.checkpoint is not None:
+            check_target(self.checkpoint, "checkpoint")
+            if os.path.lexists(self.checkpoint):
+                self._resume()
 
     def elapsed(self) -> float:
         """Return the seconds taken, with those of earlier runs."""
@@ -106,6 +111,24 @@ class Search:
                     f"one of this search ({key}: {value})",
                     f"{name} ({about.get(key)})",
                 )
+        try:
+            self._take_over(about, arrays)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise FileFormatError.expected(
+                "checkpoint", "a file of mitsuba_bezier.fit", f"{name} (damaged: {error})"
+            ) from None
+
+    def _take_over(self, about: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        name = os.fspath(self.checkpoint)
+        first, seen = arrays["first start"], arrays["wanted"]
+        # starts and photographs may have been computed anew, on another machine
+        if first.shape != self.first.shape or not np.allclose(first, self.first, 1e-4, 1e-6):
+            raise BezierError.expected(
+                "checkpoint", "one of this search (with the start of its unknowns)", name
+            )
+        wanted = self.problem.wanted
+        if seen.shape != wanted.shape or not np.allclose(seen, wanted, 0.05, 0.05 * _size(wanted)):
+            raise BezierError.expected("checkpoint", "one of this search (with its targets)", name)
         if about["refined"]:
             restored = {}
             for i, (key, item) in enumerate(self.problem.unknowns.items()):
@@ -113,12 +136,15 @@ class Search:
                 own = {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
                 restored[key] = item.restored(own)
             self.problem.take(restored)
-        if arrays["x"].shape != self.problem.start.shape:
-            raise BezierError.expected(
-                "checkpoint",
-                f"one with {len(self.problem.start)} unknowns",
-                f"{name} with {len(arrays['x'])}",
-            )
+        for part in ("x", "pending", "first", "second"):
+            if arrays[part].shape != self.problem.start.shape:
+                raise BezierError.expected(
+                    "checkpoint",
+                    f"one with {len(self.problem.start)} unknowns",
+                    f"{name} with {arrays[part].size}",
+                )
+            if not np.isfinite(arrays[part]).all():
+                raise FileFormatError.expected("checkpoint", "finite numbers", f"others in {name}")
         moments = Moments(arrays["first"], arrays["second"], about["count"])
         losses = tuple(arrays["losses"].tolist())
         self.state = _State(
@@ -127,7 +153,7 @@ class Search:
         self.seconds = about["seconds"]
 
     def save(self) -> None:
-        """Write the checkpoint, if one is wanted."""
+        """Write the checkpoint, if one is wanted; one that cannot be written is no end."""
         if self.checkpoint is None:
             return
         state = self.state
@@ -137,6 +163,8 @@ class Search:
             "losses": np.array(state.losses),
             "first": state.moments.first,
             "second": state.moments.second,
+            "first start": self.first,
+            "wanted": self.problem.wanted,
         }
         for i, item in enumerate(self.problem.unknowns.values()):
             arrays |= {f"base.{i}.{name}": value for name, value in item.state().items()}
@@ -146,8 +174,11 @@ class Search:
             "count": state.moments.count,
             "refined": state.refined,
         }
-        checkpoints.write(self.checkpoint, about, arrays)
         self.saved = time.perf_counter()
+        try:
+            checkpoints.write(self.checkpoint, about, arrays)
+        except FileFormatError as error:  # the disk is full: the search is worth more
+            warnings.warn(f"fit.minimize goes on without writing: {error}", stacklevel=5)
 
     def _save_sometimes(self) -> None:
         if time.perf_counter() - self.saved > self.every:
@@ -178,8 +209,13 @@ class Search:
             else:
                 self._settle()
         finally:
-            self.save()
-        self.problem.set(self.state.x)
+            self._end()
+
+    def _end(self) -> None:
+        """Write the checkpoint and give the scene the last good state, at Ctrl-C as well."""
+        self.save()
+        if len(self.state.losses):
+            self.problem.set(self.state.x)
 
     def _try(self, step: int) -> tuple[np.ndarray, float, np.ndarray, int] | None:
         """Return vector, loss, gradient and halved steps after the pending change.
@@ -196,6 +232,7 @@ class Search:
                 if not moved:
                     raise
                 why = error
+                self._say_halved(step, error)
                 continue
             if not np.isfinite(loss) or not np.isfinite(gradient).all():
                 self._stop(f"the loss or its gradient is not finite at step {step}")
@@ -232,14 +269,20 @@ class Search:
             else:
                 finer[key] = item
                 kept[key] = arrays[key]
-        self.problem.take(finer)
-        x = self.problem.vector(kept)
-        self.state = replace(
-            _State.at(x),
-            losses=self.state.losses,
-            halved=self.state.halved,
-            refined=self.state.refined + 1,
-        )
+        coarse = self.problem.unknowns
+        try:
+            self.problem.take(finer)
+            x = self.problem.vector(kept)
+            self.state = replace(
+                _State.at(x),
+                losses=self.state.losses,
+                halved=self.state.halved,
+                refined=self.state.refined + 1,
+            )
+        except BaseException:  # Ctrl-C: problem and state have as many unknowns
+            if len(self.state.x) != len(self.problem.start):
+                self.problem.take(coarse)
+            raise
 
     # ------------------------------------------------------------ L-BFGS
 
@@ -253,9 +296,10 @@ class Search:
             nonlocal best_x, best_loss, last
             try:
                 loss, gradient = self.problem.evaluate(x, self.seed)
-            except BezierError:
+            except BezierError as error:
                 if np.isinf(best_loss):
                     raise
+                self._say_halved(len(self.state.losses), error)
                 loss, gradient = np.nan, x
             if np.isfinite(loss) and np.isfinite(gradient).all():
                 if np.isinf(best_loss):
@@ -295,10 +339,19 @@ class Search:
         finally:
             if np.isfinite(best_loss):
                 self.state = replace(self.state, x=best_x)
-            self.save()
-        self.problem.set(self.state.x)
+            self._end()
 
     # ------------------------------------------------------------ both
+
+    def _say_halved(self, step: int, why: BezierError) -> None:
+        """Tell of the first step that is halved; all are counted."""
+        if not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"fit.minimize halves steps to nets that are not valid, at first step {step}: "
+                f"{why}",
+                stacklevel=6,
+            )
 
     def _need_derivatives(self, gradient: np.ndarray) -> None:
         """Raise an error that names a parameter that has no derivative."""
@@ -307,11 +360,24 @@ class Search:
             if not any(gradient[place].any() for place in parts):
                 raise BezierError.expected(
                     key,
-                    "a parameter by which the loss has a derivative (is it seen? outlines need "
-                    "bezier_direct_projective or bezier_prb_projective)",
+                    f"a parameter by which the loss has a derivative ({which_integrator(key)})",
                     "a gradient of exactly zero",
                 )
 
     def _stop(self, reason: str) -> None:
         self.reason = reason
         warnings.warn(f"fit.minimize stopped: {reason}; the state before it is kept", stacklevel=5)
+
+
+def which_integrator(key: str) -> str:
+    """Return what has derivatives by a parameter, by its name."""
+    names = set(key.split("."))
+    if names & {"curvatures", "thicknesses", "conics", "coefficients", "nd", "vd"}:
+        return "the sensor `lens` has them in Mitsuba's direct"
+    if names & {"sigma_t", "albedo", "phase_function"}:
+        return "media have them in beziervolpath"
+    return "is it seen? outlines need bezier_direct_projective or bezier_prb_projective"
+
+
+def _size(values: np.ndarray) -> float:
+    return float(np.abs(values).max(initial=0.0))
