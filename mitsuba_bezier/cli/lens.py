@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         # JSON has no infinity
         print(json.dumps({k: v if math.isfinite(v) else None for k, v in data.items()}, indent=1))
     else:
-        print(optics.report(lens))
+        print(optics.report(lens, args.wavelength))
         _check_rays(lens)
     for name, path in outputs.items():
         if path is not None:

@@ -22,11 +22,18 @@ def _aligned(rows: Sequence[tuple[str, ...]]) -> list[str]:
     return ["  ".join(c.ljust(w) for c, w in zip(row, widths)).rstrip() for row in rows]
 
 
-def report(lens: Lens) -> str:
+def report(lens: Lens, wavelength: float | None = None) -> str:
     """Return a description of a lens as text of several lines.
 
-    First-order data at the reference wavelength, the surfaces, and for each field the distortion
-    and the spot's radius (root mean square, all wavelengths about their common centroid).
+    First-order data, the surfaces, and for each field the distortion and the spot's radius (root
+    mean square, all wavelengths about their common centroid).
+
+    Parameters
+    ----------
+    lens : Lens
+        The lens.
+    wavelength : float, optional
+        In micrometres, of first-order data; the reference wavelength by default.
 
     Examples
     --------
@@ -34,7 +41,7 @@ def report(lens: Lens) -> str:
     >>> print(report(Lens([Surface(-1 / 200, -100, mirror=True)])).splitlines()[1].split())
     ['effective', 'focal', 'length', '100']
     """
-    data = first_order(lens)
+    data = first_order(lens, wavelength)
     unit = lens.unit
     rows = [
         ("effective focal length", data.focal_length),

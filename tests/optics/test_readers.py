@@ -412,6 +412,11 @@ def test_the_command_reports_and_draws(tmp_path, capsys):
     assert '"focal_length"' in capsys.readouterr().out
     assert main(["lens", str(path)]) == 0
     assert "two mirrors" in capsys.readouterr().out
+    path = write(tmp_path, "d.csv", TABLE)
+    assert main(["lens", str(path), "--wavelength", "0.4861"]) == 0
+    assert "at 0.4861 micrometres" in capsys.readouterr().out
+    assert main(["lens", str(path), "--wavelength", "12"]) == 2
+    assert "0.3 to 2.5 micrometres" in capsys.readouterr().err
     pytest.importorskip("matplotlib")
     section = tmp_path / "s.svg"
     assert (
