@@ -15,6 +15,7 @@ from ..records import BENDING_LIMIT, GraphLeaves, LeafSettings, round_reach, wei
 from .bounds import leaf_bounds
 from .collapsed_edges import collapsed_edge, fan, strips
 from .cover import edge_reach
+from .lower_degrees import HIGH, lowered
 from .majorants import norm2
 
 __all__ = ["subdivide"]
@@ -472,12 +473,29 @@ def _fit_charts(
         domain=domain * moebius[:, None, :],
         shift=shift,
         chart=frame,
-        nets=Nets.of(bernstein.monomial_matrix(n) @ deviation),
+        nets=_stored(
+            deviation, good, (frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1), proved["size"]
+        ),
         box=BezierTriangles(nets).hulls(),
         certified=good.copy(),
         **proved,
     )
     return leaves, good, way
+
+
+def _stored(net: np.ndarray, wanted: np.ndarray, affine: np.ndarray, size: np.ndarray) -> Nets:
+    """Return the nets of leaves as rays read them: monomial; those of high degree are lowered.
+
+    Not in projective charts, where float64 counts. Leaves that are not `wanted` have nets of zeros.
+    """
+    n = bernstein.degree_of(net.shape[1])
+    if n <= HIGH:
+        return Nets.of(bernstein.monomial_matrix(n) @ net)
+    near, far = np.flatnonzero(wanted & affine), np.flatnonzero(wanted & ~affine)
+    rest = np.flatnonzero(~wanted)
+    whole = Nets.of(bernstein.monomial_matrix(n) @ net[far])
+    nets = Nets.join([lowered(net[near], size[near]), whole, Nets.zeros(len(rest))])
+    return nets[np.argsort(np.concatenate([near, far, rest]))]
 
 
 def _rounding(nets: np.ndarray, shift: np.ndarray, frame: np.ndarray) -> np.ndarray:
