@@ -99,16 +99,19 @@ class TrimCurves:
         return self
 
     def _tensors(self, data: Any) -> list[Any]:
-        first = np.cumsum([0] + [len(s.patches) for s in data.shapes])
-        return [data.shapes[int(np.searchsorted(first, k))].trim_points for k in self._shapes]
+        first = np.cumsum([0] + [len(s.patches) for s in data.shapes]).tolist()
+        return [data.shapes[first.index(k)].trim_points for k in self._shapes]
 
     def moves(self, data: Any) -> bool:
         """Return whether any of the curves has derivatives."""
-        return bool(dr.grad_enabled(*self._tensors(data))) if self._shapes else False
+        return bool(dr.grad_enabled([x for x in self._tensors(data) if x is not None]))
 
     def attached(self, data: Any) -> Any:
         """Return the control points of all curves, with derivatives."""
-        parts = [mi.Float64(tensor.array) for tensor in self._tensors(data)]
+        parts = [
+            dr.zeros(mi.Float64, 3 * len(points)) if tensor is None else mi.Float64(tensor.array)
+            for tensor, points in zip(self._tensors(data), self._points)
+        ]
         return dr.replace_grad(self.points, dr.concat([*parts, dr.zeros(mi.Float64, 3)]))
 
     def point(self, row: Any, s: Any, active: Any, points: Any = None) -> CurvePoint:

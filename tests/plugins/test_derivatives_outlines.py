@@ -17,6 +17,7 @@ import mitsuba_bezier as mb
 from mitsuba_bezier.geometry.trim_outlines import trim_segments
 from mitsuba_bezier.geometry.trims import Trims, closed_region, square_map
 from mitsuba_bezier.io.trim_arrays import trims_to_numbers
+from mitsuba_bezier.plugins.trim_curves import TrimCurves
 
 BALL = mb.sphere(cover="octants").control_points
 SIDE = 8
@@ -382,3 +383,48 @@ def test_borders_of_trimmed_shapes():
     both = mb.BezierTriangles.join([shape.patches, shape.patches.transform(turn)])
     twice = trim_segments(both, Trims.join([shape.trims, lid]))
     assert len(twice) == 2 * len(found) and (twice.weight == 0.5).all()
+
+
+def test_points_of_trimming_curves():
+    """Curves on arcs, in a part of their plane: host and device place them as `Trims` does."""
+    rng = np.random.default_rng(4)
+    patches = mb.BezierTriangles(np.repeat(BENT, 2, axis=0))
+    place = [[[2.0, -1.0], [3.0, 0.5]]] * 2
+    region = [c @ [[3.0, 0, 0], [0, 0.5, 0], [2, -1, 1]] for c in square_and_circle(0.3)[4:]]
+    trims = Trims(
+        [region], [0, 0], [square_map(), square_map(True, True)], place, [[0, 1.5], [2, 0]]
+    )
+    found = trim_segments(patches, trims)
+    assert set(found.patch) == {0, 1}
+    flat = [c for r in trims.regions for c in r]
+    for uv, t in ((found.a, found.t[:, 0]), (found.b, found.t[:, 1])):
+        want = np.array(
+            [
+                bernstein_point(flat[k], x)  # of the curve itself
+                for k, x in zip(found.curve, t)
+            ]
+        )
+        assert np.abs(trims.parameters(found.patch, uv) - want).max() < 1e-9
+    shape = mi.load_dict(bezier(patches, trims=tensor(trims_to_numbers(trims))))
+    curves = TrimCurves()
+    cuts = curves.add(shape, 0)
+    curves = curves.uploaded(shape._alone())
+    s = rng.random(len(cuts.rows)).astype(np.float32)
+    for at in (np.zeros_like(s), s, np.ones_like(s)):
+        got = curves.point(mi.UInt32(cuts.rows), mi.Float(at), mi.Bool(True))
+        uv = np.array(got.uv).T
+        if at is s:  # the tangent, by differences in float32
+            near = [
+                np.array(curves.point(mi.UInt32(cuts.rows), mi.Float(s + e), mi.Bool(True)).uv).T
+                for e in (-1e-2, 1e-2)
+            ]
+            slope = (near[1] - near[0]) / 2e-2
+            assert np.abs(slope - np.array(got.tangent).T).max() < 1e-4
+        else:
+            assert np.abs(uv - (cuts.b if at[0] else cuts.a)).max() < 1e-6
+
+
+def bernstein_point(net: np.ndarray, t: float) -> np.ndarray:
+    while len(net) > 1:
+        net = (1 - t) * net[:-1] + t * net[1:]
+    return net[0, :2] / net[0, 2]

@@ -164,12 +164,9 @@ def make_shape_class() -> type:
             self.state = self._state(patches, matrix, flip, trims, instances)
             self.control_points = _tensor(self.state.exposed)
             self.to_world = mi.Transform4f(mi.Matrix4f(matrix.tolist()))
-            #: Control points (N, 3) of trimming curves as users see them, or None.
+            #: Control points (N, 3) of trimming curves as users see them, once they look, or None.
             self.trim_points: Any = None
-            #: The same in float64, and which of them each curve has.
-            self.trim_rows = trim_points(trims or Trims.none(1))
-            if trims is not None and trims.regions:
-                self.trim_points = _tensor(self.trim_rows[0])
+            self._trim_rows: tuple[np.ndarray, list[np.ndarray]] | None = None
             #: Maps of instances (N, 3, 4) as users see them, or None.
             self.instance_maps: Any = None if instances is None else _tensor(instances[:, :3])
             #: Texture coordinates at the corners (P, 3, 2), or None.
@@ -236,6 +233,13 @@ def make_shape_class() -> type:
             return self.state.trims
 
         @property
+        def trim_rows(self) -> tuple[np.ndarray, list[np.ndarray]]:
+            """Control points of trimming curves in float64, and which of them each curve has."""
+            if self._trim_rows is None:
+                self._trim_rows = trim_points(self.trims or Trims.none(1))
+            return self._trim_rows
+
+        @property
         def instances(self) -> np.ndarray | None:
             """Maps ``(N, 4, 4)`` of the instances, or None."""
             return self.state.instances
@@ -263,7 +267,9 @@ def make_shape_class() -> type:
             edges = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
             cb.put("control_points", self.control_points, edges)
             cb.put("to_world", self.to_world, edges)
-            if self.trim_points is not None:
+            if self.trims is not None and self.trims.regions:
+                if self.trim_points is None:
+                    self.trim_points = _tensor(self.trim_rows[0])
                 cb.put("trim_points", self.trim_points, edges)
             if self.instance_maps is not None:
                 cb.put("instances", self.instance_maps, edges)
@@ -338,7 +344,7 @@ def make_shape_class() -> type:
                 trims = Trims(regions, old.region, old.square, old.place, old.arc)
             except GeometryError as error:
                 raise NetError(f"trim_points: {error}") from None
-            self.trim_rows = values, index
+            self._trim_rows = values, index
             return trims
 
         def _changed_instances(self) -> np.ndarray | None:
