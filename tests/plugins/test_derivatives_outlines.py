@@ -241,6 +241,10 @@ SCENES = {
         seen_by(30, surface=glowing(ball(AT, 1)), mirror=plane_mirror()), AT),
     "patch in a plane mirror": lambda: (
         seen_by(30, surface=glowing(BENT @ TURNED.T), mirror=plane_mirror()), (4, 0, 0)),
+    "trims in a plane mirror": lambda: (
+        seen_by(30, mirror=plane_mirror(),
+                surface={**cut(net_at=TURNED), **{k: v for k, v in glowing(BALL).items() if k in
+                                                  ("bsdf", "emitter")}}), (4, 0, 0)),
     "ball in a ball": lambda: (
         seen_by(20, surface=glowing(ball(AT, 1)), mirror=bezier(HOLLOW, bsdf=MIRROR)), AT),
     "ball in a ball that grows": lambda: (
@@ -306,13 +310,15 @@ def square_and_circle(radius: float) -> list[np.ndarray]:
     return lines + closed_region(arcs, 1e-9)
 
 
-def cut(bend: float = 0.0, hole: float = 0.3) -> dict[str, Any]:
+def cut(bend: float = 0.0, hole: float = 0.3, net_at: Any = None) -> dict[str, Any]:
     """A square of two patches, bent or flat, with a hole across both."""
     grid = np.zeros((3, 3, 4))
     x = np.array([-1, 0, 1.0])
     grid[..., 0], grid[..., 1], grid[..., 3] = x[:, None], x[None, :], 1
     grid[1, 1, 2] = bend
     patches = mb.tensor_to_triangles(grid)
+    if net_at is not None:
+        patches = patches.transform(net_at)
     maps = [square_map(), square_map(second=True)]
     trims = Trims([square_and_circle(hole)], [0, 0], maps, [[[0, 0], [1, 1]]] * 2)
     return bezier(patches, trims=tensor(trims_to_numbers(trims)))

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ...kernels.trim import keep
 from ..interaction import Preliminary
 from ..scene import SceneRays
 
@@ -19,6 +20,10 @@ _GRAZING = 0.05
 _AT_EDGE = 1e-3
 #: Relative difference of distances below which two surfaces meet.
 _TOGETHER = 1e-3
+#: Radius in parameters of a circle on which a trimming curve is looked for, far above rounding.
+_CIRCLE = 1e-3
+#: Parts of it that are looked at, and halvings of these.
+_SECTORS, _HALVINGS = 16, 10
 
 
 @dataclass
@@ -80,9 +85,15 @@ class Outline:
         crease = ours & close & same & (nearest < _AT_EDGE) & ~edge & ~contour
         meeting = active & close & ~same & ~edge & ~contour & far.pi.is_valid()
         line = dr.select(crease, tangent, open_tangent)
+        cut = mi.Bool(False)
+        if data.trim is not None:
+            cut = ours & ~(edge | contour | crease | meeting)
+            du, dv, found = _along_trim(data.trim, near.patch, uv, cut)
+            cut = cut & found
+            line = dr.select(cut, pu * du + pv * dv, line)
         n = dr.select(contour, si.n - d * dr.dot(si.n, d), dr.cross(d, line))
         n = dr.normalize(n)
-        known = edge | contour | crease | meeting
+        known = edge | contour | crease | meeting | cut
         n = dr.select(meeting, si.n / dr.dot(si.n, d), n)
         other = dr.select(meeting, -behind.n / dr.dot(behind.n, d), 0.0)
         t = near.pi.t
@@ -97,6 +108,50 @@ class Outline:
         along = ray.o + self.t * ray.d
         gap = dr.dot(self.n, _moving(tables, self.near, self.p) - along)
         return gap + dr.dot(self.m, _moving(tables, self.far, self.q) - along)
+
+
+def _along_trim(table: Any, patch: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
+    """Return the direction of a trimming curve that a point is on, and whether there is one.
+
+    It is that between the two places where a small circle around the point crosses the curve.
+    """
+
+    def inside(turn: Any) -> Any:
+        sine, cosine = dr.sincos(dr.two_pi * turn)
+        u, v = dr.fma(_CIRCLE, cosine, uv.x), dr.fma(_CIRCLE, sine, uv.y)
+        return mi.Bool(keep(table, patch, u, v, active))
+
+    def step(k: Any, last: Any, enter: Any, leave: Any) -> tuple[Any, ...]:
+        turn = mi.Float(k) / _SECTORS
+        here = inside(turn)
+        before = turn - 1 / _SECTORS
+        return (
+            k + 1,
+            here,
+            dr.select(here & ~last, before, enter),
+            dr.select(~here & last, before, leave),
+        )
+
+    width = dr.width(uv)
+    none = dr.full(mi.Float, -1, width)
+    _k, _last, enter, leave = dr.while_loop(
+        (mi.UInt32(1), inside(dr.zeros(mi.Float, width)), none, none),
+        lambda k, _last, _enter, _leave: k <= _SECTORS, step, label="bezier outlines: sectors",
+    )  # fmt: skip
+
+    def halve(k: Any, size: Any, enter: Any, leave: Any) -> tuple[Any, ...]:
+        size = 0.5 * size
+        enter = dr.select(inside(enter + size), enter, enter + size)
+        leave = dr.select(inside(leave + size), leave + size, leave)
+        return k + 1, size, enter, leave
+
+    found = active & (enter >= 0) & (leave >= 0)
+    _k, _size, enter, leave = dr.while_loop(
+        (mi.UInt32(0), mi.Float(1 / _SECTORS), enter, leave),
+        lambda k, _size, _enter, _leave: k < _HALVINGS, halve, label="bezier outlines: circle",
+    )  # fmt: skip
+    (s0, c0), (s1, c1) = dr.sincos(dr.two_pi * enter), dr.sincos(dr.two_pi * leave)
+    return c1 - c0, s1 - s0, found
 
 
 def _distance(hit: Preliminary) -> Any:
