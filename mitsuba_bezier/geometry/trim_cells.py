@@ -190,6 +190,16 @@ class _Pieces:
         base = (right & (self.t[:, 0] <= t0) & (self.t[:, 1] > t0)).sum(axis=1) % 2
         return near, right & ((self.t[:, 0] > t0) | (self.t[:, 1] <= t1)), base
 
+    def steps(self, boxes: np.ndarray, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return boxes, and the heights in them at which an odd number of pieces begin or end.
+
+        `inner` is that of `around`: other pieces do not count.
+        """
+        of, k = np.nonzero(inner)
+        heights, of = self.t[k].ravel(), np.repeat(of, 2)
+        within = (heights > boxes[of, 0, 1]) & (heights <= boxes[of, 1, 1])
+        return _changes(of[within], heights[within])
+
     def rows(self) -> np.ndarray:
         """Return the pieces as rows of the table."""
         (s0, t0), (s1, t1) = self.ends[:, 0].T, self.ends[:, 1].T
@@ -290,12 +300,8 @@ class _Builder:
 
     def _lists(self, pieces: _Pieces, boxes: np.ndarray) -> np.ndarray:
         near, inner, base = pieces.around(boxes)
-        t0, t1 = boxes[:, 0, 1], boxes[:, 1, 1]
         owner, row = np.nonzero(near)
-        of, k = np.nonzero(inner)
-        heights, of = pieces.t[k].ravel(), np.repeat(of, 2)
-        within = (heights > t0[of]) & (heights <= t1[of])
-        steps_owner, steps = _changes(of[within], heights[within])
+        steps_owner, steps = pieces.steps(boxes, inner)
         extra = np.zeros((len(steps), HEAD + 3 * (self.degree + 1)))
         extra[:, 0], extra[:, 1:4], extra[:, 4] = steps, _FAR, 1.0
         owner = np.concatenate([owner, steps_owner])
@@ -358,8 +364,12 @@ class UntrimmedParts:
                 region = self._builder.regions[int(trims.region[p])]
                 self._placed[p] = _placed(region, trims.place[p])
             mine = np.flatnonzero(patch == p)
-            near, inner, base = self._placed[p].around(_boxes(trims, p, corners[mine]))
-            out[mine] = near.any(axis=1) | inner.any(axis=1) | (base == 1)
+            pieces, boxes = self._placed[p], _boxes(trims, p, corners[mine])
+            near, inner, base = pieces.around(boxes)
+            left = near.any(axis=1) | (base == 1)
+            # beside a place where one piece ends and another begins nothing changes
+            left[pieces.steps(boxes, inner)[0]] = True
+            out[mine] = left
         return out
 
 
