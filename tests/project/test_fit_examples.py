@@ -101,3 +101,16 @@ def test_both_searches_of_the_vase_have_as_many_unknowns_and_begin_alike(vase):
     assert (
         vase.distance(vase.samples(vase.target(), 500), tree) < 0.1 * off
     )  # 20 000 samples of 8: 0.01 apart
+
+
+def test_the_lens_of_the_photograph_has_the_faults_and_the_others_are_those_prescribed():
+    lens = script("fit_lens")
+    truth, scene = lens.scene_of(2, off=True), lens.scene_of(2)
+    # parameters are float32: 61 mm to 4e-6
+    found = lens.errors(scene, truth)
+    assert found == pytest.approx([-f.error for f in lens.FAULTS], rel=1e-4)
+    params, right = mi.traverse(scene), mi.traverse(truth)
+    for key, item in lens.unknowns(scene).items():
+        value = np.array(item.value({k: mi.TensorXf(v) for k, v in item.start().items()}))
+        assert np.array_equal(value, np.array(params[key]))
+        assert (value != np.array(right[key])).sum() == 1
