@@ -177,6 +177,19 @@ def _by_place(scene: Any, key: str = "surface", turns: float = 6.0) -> Move:
     return move
 
 
+def _by_size(scene: Any) -> Move:
+    """Return growth about the shape's own origin."""
+    params = mi.traverse(scene)
+    first = np.array(params["surface.to_world"].matrix).reshape(4, 4)
+
+    def move(e: Any) -> None:
+        place = mi.Transform4f(mi.Matrix4f(mi.ScalarMatrix4f(first)))
+        params["surface.to_world"] = place @ mi.Transform4f().scale(mi.Vector3f(1 + e))
+        params.update()
+
+    return move
+
+
 def _by_value(scene: Any, key: str, rate: float = 1.0) -> Move:
     params = mi.traverse(scene)
     key = parameter(params, key)
@@ -294,7 +307,11 @@ def _ball_in_mirror() -> Any:
     return _scene(
         camera=_above(20),
         glass=_shape(_flat(0.0, 4.0), bsdf=_mirror()),
-        surface=_shape(mb.sphere((0.2, 0.1, 6.0), 0.9), bsdf=bsdf),
+        surface=_shape(
+            mb.sphere((0, 0, 0), 0.9),
+            bsdf=bsdf,
+            to_world=mi.ScalarTransform4f().translate([0.2, 0.1, 6.0]),
+        ),
         picture=_bright(9, 0),
     )
 
@@ -387,9 +404,9 @@ SITUATIONS = [
     ),
     Situation(
         "outline in a mirror",
-        "place",
-        _with(lambda scene: _by_place(scene, turns=0), _ball_in_mirror),
-        0.1,
+        "size",
+        _with(_by_size, _ball_in_mirror),
+        0.05,
         4096,
         OUTLINES,
         PATH,

@@ -14,9 +14,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import resource
+import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import mitsuba_bezier as mb  # before Dr.Jit: chooses its LLVM
@@ -141,6 +145,37 @@ def verdict(row: Situation, result: dict[str, Estimate | str]) -> str:
     return ", ".join(said) or "pass"
 
 
+def apart(row: Situation, seeds: int, spp: float) -> tuple[dict[str, Estimate | str], float]:
+    """Return what `measure` does and its processor time, from a process of its own.
+
+    So no row costs another one its table, whatever happens to it, and all begin alike.
+    """
+    start = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "row.json"
+        options = [
+            "--rows",
+            row.name,
+            "--seeds",
+            str(seeds),
+            "--spp",
+            str(spp),
+            "--json",
+            str(file),
+        ]
+        command = [sys.executable, __file__, "--alone", *options]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if not file.exists():
+            said = (done.stderr.strip() or "no message").splitlines()[-1]
+            return dict.fromkeys(("difference", "reverse", "forward"), said), 0.0
+        found = json.loads(file.read_text())["rows"][0]
+    result: dict[str, Estimate | str] = {}
+    for name in ("difference", "reverse", "forward"):
+        value = found[name]
+        result[name] = value if isinstance(value, str) else Estimate(**value)
+    return result, resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - start
+
+
 def _off(got: Estimate | str, want: Estimate | str) -> str:
     if isinstance(got, str):
         return got
@@ -168,6 +203,7 @@ def main() -> None:
     parser.add_argument("--rows", default="", help="names, with commas (all)")
     parser.add_argument("--seeds", type=int, default=6, help="of each estimate (6)")
     parser.add_argument("--spp", type=float, default=1.0, help="times the samples of each row (1)")
+    parser.add_argument("--alone", action="store_true", help="in this process")
     parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     rows = _chosen(options.rows)
@@ -176,10 +212,13 @@ def main() -> None:
         table.add_column(column, overflow="fold")
     record, failed = [], False
     for row in rows:
-        set_variant(row.variant)
-        start = time.process_time()
-        result = measure(row, options.seeds, options.spp)
-        spent = time.process_time() - start
+        if options.alone:
+            set_variant(row.variant)
+            start = time.process_time()
+            result = measure(row, options.seeds, options.spp)
+            spent = time.process_time() - start
+        else:
+            result, spent = apart(row, options.seeds, options.spp)
         said, want = verdict(row, result), result["difference"]
         failed |= said not in ("pass", "none")
         modes = [_off(result[mode], want) for mode in ("forward", "reverse")]
@@ -193,6 +232,7 @@ def main() -> None:
     for row in rows:
         if row.missing:
             print(f"{row.name}: none, since {row.missing}")
+    set_variant(rows[-1].variant)
     about = machine()
     print(
         f"{about['processor']}, {about['system']}, Mitsuba {about['mitsuba']}, "
