@@ -41,6 +41,17 @@ class Fit:
         Time, with that of earlier runs of the same checkpoint.
     parametrizations : dict of str to Parametrization
         The last ones, refined.
+
+    Examples
+    --------
+    >>> import mitsuba as mi
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> from mitsuba_bezier import fit
+    >>> def away(params, seed):
+    ...     return (params["x"].array - 3) ** 2
+    >>> found = fit.minimize(None, {"x": fit.Values([0.0])}, objective=away, method="l-bfgs")
+    >>> found.values["x"].round(6).tolist(), found.reason
+    ([3.0], 'converged')
     """
 
     unknowns: dict[str, dict[str, np.ndarray]]

@@ -20,6 +20,22 @@ class Parametrization:
 
     A derived class gives `start`, `scales` and `value`. Unknowns are NumPy arrays of float64 in
     `minimize` and tensors of Dr.Jit in `value`, which is differentiable.
+
+    Examples
+    --------
+    >>> import mitsuba as mi, numpy as np
+    >>> mi.set_variant("llvm_ad_rgb")
+    >>> from mitsuba_bezier import fit
+    >>> class Cube(fit.Parametrization):  # a volume, of which the edge is searched
+    ...     def start(self):
+    ...         return {"edge": np.ones(1)}
+    ...     def value(self, unknowns):
+    ...         return unknowns["edge"] ** 3
+    >>> def away(params, seed):
+    ...     return (params["volume"].array - 8) ** 2
+    >>> found = fit.minimize(None, {"volume": Cube()}, objective=away, method="l-bfgs")
+    >>> found.unknowns["volume"]["edge"].round(4).tolist()
+    [2.0]
     """
 
     #: Whether there are finer ones of the same surface.

@@ -31,6 +31,14 @@ class Spot:
         Root mean square, and largest, distance from the centroid.
     transmitted : float
         Share of the rays that arrive.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, spot
+    >>> mirror = Surface(-1 / 200, -101, mirror=True, conic=-1, semi_diameter=25)
+    >>> found = spot(Lens([mirror], aperture=("diameter", 40)))  # a paraboloid, focus 1 mm before
+    >>> round(found.radius, 9) == round(20 / 99, 9)  # the ray at 20 mm has 99 mm to go
+    True
     """
 
     points: np.ndarray
@@ -41,7 +49,14 @@ class Spot:
 
 
 def pupil_grid(rings: int = 6) -> np.ndarray:
-    """Return points ``(N, 2)`` of the unit disk, hexapolar: 6 i points on ring i."""
+    """Return points ``(N, 2)`` of the unit disk, hexapolar: 6 i points on ring i.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import pupil_grid
+    >>> len(pupil_grid(2))  # 1 + 6 + 12
+    19
+    """
     if not isinstance(rings, (int, np.integer)) or rings < 0:
         raise PrescriptionError.expected("rings", "a whole number from 0 on", repr(rings))
     points = [np.zeros((1, 2))]
@@ -84,6 +99,14 @@ def beam(
     PrescriptionError
         If the field is none, neither aperture nor stop give the beam a size, the entrance pupil is
         at infinity, or an image height has no object.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, beam
+    >>> mirror = Lens([Surface(-1 / 200, -100, mirror=True, semi_diameter=25)])
+    >>> origins, directions = beam(mirror, (0, 45))
+    >>> directions[0].round(6).tolist()  # a distant object: all rays are parallel
+    [0.0, 0.707107, 0.707107]
     """
     at = check_field(lens, field)
     p = pupil_grid() if pupil is None else np.atleast_2d(np.asarray(pupil, float))
@@ -214,6 +237,14 @@ def used_semi_diameters(lens: Lens) -> np.ndarray:
     """Return the radii ``(S,)`` that the beams of all fields take up on the surfaces.
 
     Prescriptions often leave them out: a drawing, or a body, needs them.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, used_semi_diameters
+    >>> stop = Surface(thickness=100, stop=True, semi_diameter=5)
+    >>> lens = Lens([stop, Surface(thickness=-50, mirror=True)], fields=[(0, 45)])
+    >>> used_semi_diameters(lens).round(6).tolist()  # the mirror is 100 behind the stop
+    [5.0, 105.0]
     """
     radii = np.zeros(len(lens.surfaces))
     angle = np.arange(24) / 24 * 2 * np.pi
@@ -226,7 +257,15 @@ def used_semi_diameters(lens: Lens) -> np.ndarray:
 
 
 def distortion(lens: Lens, field: tuple[float, float], wavelength: float | None = None) -> float:
-    """Return the height of the chief ray on the image over the paraxial one, less 1."""
+    """Return the height of the chief ray on the image over the paraxial one, less 1.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Constant, Lens, Surface, distortion
+    >>> water = Lens([Surface(thickness=10, medium=Constant(2**0.5), semi_diameter=1, stop=True)])
+    >>> round(distortion(water, (0, 45)), 6)  # sin 30 = sin 45 / n, so tan 30 / (tan 45 / n) - 1
+    -0.183503
+    """
     chief = trace(lens, *beam(lens, field, np.zeros((1, 2)), wavelength), wavelength, False)
     real = np.hypot(*chief.local[-1][0, :2])
     data = first_order(lens, wavelength)

@@ -35,6 +35,14 @@ class SpotDerivatives:
         thickness is the focus. Air has derivatives by its index, too.
     coefficients : tuple of ndarray
         For each surface those by its even polynomial.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, spot_derivatives
+    >>> mirror = Lens([Surface(-1 / 200, -101, mirror=True, conic=-1, semi_diameter=25)])
+    >>> found = spot_derivatives(mirror)  # a paraboloid, 1 mm out of focus: the spot grows as that
+    >>> round(float(found.thickness[-1] / found.rms), 6)
+    -1.0
     """
 
     rms: float

@@ -61,6 +61,13 @@ def draw_section(lens: Lens, rays: int = 7) -> Any:
     ------
     RuntimeSetupError
         Without matplotlib.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Abbe, Lens, Surface, draw_section
+    >>> front = Surface(1 / 50, 4, Abbe(1.5168, 64.17), semi_diameter=10)
+    >>> draw_section(Lens([front, Surface(-1 / 50, 47)], title="Singlet")).axes[0].get_title()
+    'Singlet'
     """
     figure = new_figure(12, 6.75)
     axes = figure.add_subplot()
@@ -129,6 +136,13 @@ def draw_spots(lens: Lens, rings: int = 12) -> Any:
     ------
     RuntimeSetupError
         Without matplotlib.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, draw_spots
+    >>> mirror = Surface(-1 / 200, -100, mirror=True, semi_diameter=10)
+    >>> len(draw_spots(Lens([mirror], fields=[(0, 0), (0, 1)])).axes)  # a panel for each field
+    2
     """
     fields = lens.field_points()
     figure = new_figure(16, 16 / max(len(fields), 3) + 1.5)
@@ -182,6 +196,15 @@ def save_figure(figure: Any, path: str | PathLike[str]) -> None:
     ------
     FileFormatError
         If the suffix is another one, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from mitsuba_bezier.optics import Lens, Surface, draw_section, save_figure
+    >>> mirror = Lens([Surface(-1 / 200, -100, mirror=True, semi_diameter=10)])
+    >>> save_figure(draw_section(mirror), "mirror.svg")
+    >>> "</svg>" in Path("mirror.svg").read_text(encoding="utf-8")
+    True
     """
     import io
 

@@ -29,6 +29,15 @@ class Foci:
     tangential, sagittal : ndarray
         ``(N,)`` how far behind the image plane, along its normal, rays meet that lie in the plane
         of axis and field, and those across it. NaN where the chief ray is lost.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, field_curvature
+    >>> sphere = Lens([Surface(thickness=200, stop=True, semi_diameter=5),
+    ...                Surface(-1 / 200, -100, mirror=True)])
+    >>> foci = field_curvature(sphere, [(0, 60)])  # a stop at the centre: foci are 100 from there
+    >>> round(float(foci.sagittal[0]), 6)  # 100 cos 60 - 100
+    -50.0
     """
 
     fields: np.ndarray

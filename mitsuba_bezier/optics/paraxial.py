@@ -52,6 +52,13 @@ class FirstOrder:
         Radius of the Petzval surface.
     length : float
         From the first vertex to the last.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Constant, Lens, Surface, first_order
+    >>> ball = first_order(Lens([Surface(1 / 10, 20, Constant(1.5)), Surface(-1 / 10, 5)]))
+    >>> round(ball.focal_length, 9), round(ball.back_focus, 9)  # n R / (2 (n - 1)), less R
+    (15.0, 5.0)
     """
 
     wavelength: float
@@ -129,6 +136,16 @@ def first_order(lens: Lens, wavelength: float | None = None) -> FirstOrder:
     Returns
     -------
     FirstOrder
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Abbe, Lens, Surface, first_order
+    >>> thin = Lens([Surface(1 / 50, 0, Abbe(1.5, 60)), Surface(-1 / 50, 50)])
+    >>> round(first_order(thin).focal_length, 9)  # 1 / ((n - 1) (c - c'))
+    50.0
+    >>> red, blue = (first_order(thin, w).focal_length for w in (0.6562725, 0.4861327))
+    >>> round(1 / (50 / blue - 50 / red), 6)  # V_d
+    60.0
     """
     w = float(lens.wavelengths[lens.reference] if wavelength is None else wavelength)
     systems, n = matrices(lens, w)

@@ -36,6 +36,15 @@ def load(path: str | PathLike[str]) -> Lens:
         If the suffix is unknown, or the file is missing or damaged.
     PrescriptionError
         If the lens has what is not followed, a glass that is not known, or is impossible.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from mitsuba_bezier.optics import first_order, load
+    >>> table = "radius,thickness,nd,vd\\n10,20,1.5,60\\n-10,5,,\\n"
+    >>> _ = Path("ball.csv").write_text(table)
+    >>> round(first_order(load("ball.csv")).focal_length, 9)
+    15.0
     """
     suffix = Path(path).suffix.lower() if isinstance(path, (str, PathLike)) else ""
     if suffix not in READERS:

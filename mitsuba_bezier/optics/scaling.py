@@ -27,6 +27,13 @@ def focused(lens: Lens, distance: float) -> Lens:
     ------
     PrescriptionError
         If the distance is within the focal length: such a plane has no real image.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Constant, Lens, Surface, focused
+    >>> ball = Lens([Surface(1 / 10, 20, Constant(1.5)), Surface(-1 / 10, 5)])  # focal length 15
+    >>> round(focused(ball, 20).surfaces[-1].thickness, 9)  # 2 f from the centre on both sides
+    20.0
     """
     last = lens.surfaces[-1]
     design = first_order(lens).image
@@ -49,6 +56,13 @@ def stopped_down(lens: Lens, f_number: float) -> Lens:
     ------
     PrescriptionError
         If no surface is marked as the stop, or the f-number is below 0.5.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Constant, Lens, Surface, stopped_down
+    >>> thin = Lens([Surface(1 / 50, 0, Constant(1.5), stop=True), Surface(-1 / 50, 50)])
+    >>> round(stopped_down(thin, 5).surfaces[0].semi_diameter, 9)  # 50 / (2 * 5)
+    5.0
     """
     if not any(s.stop for s in lens.surfaces):
         raise PrescriptionError("stop: expected a surface that is the stop, got none")

@@ -37,6 +37,14 @@ class Trace:
         without total reflection.
     stopped : ndarray
         ``(N,)`` index of the surface that ended a ray, -1 if none.
+
+    Examples
+    --------
+    >>> from mitsuba_bezier.optics import Lens, Surface, trace
+    >>> mirror = Lens([Surface(-1 / 200, -100, mirror=True, conic=-1)])
+    >>> found = trace(mirror, [[0, 0, -50], [0, 30, -50]], [[0, 0, 1]] * 2)
+    >>> found.path.round(9).tolist()  # equal to the focus of a paraboloid
+    [150.0, 150.0]
     """
 
     points: np.ndarray
