@@ -52,7 +52,7 @@ def make_path_class() -> type:
          * - shadow_steps
            - |int|
            - Intervals across a light in which derivatives look for the edges of its shadows, 16
-             for example; see :doc:`inverse` (Default: 0, soft shadows have no derivatives).
+             for example (Default: 0, soft shadows have no derivatives).
 
         Samples BSDFs and emitters and combines both by multiple importance sampling, as
         Mitsuba's `path` does, whose parameters and defaults it has. It sees `beziertriangle`
