@@ -32,7 +32,7 @@ class Fit:
     values : dict of str to array
         The parameters of the scene, which has them as well.
     losses : list of float
-        The loss of each step, before it was taken.
+        The loss of each step: by Adam before it was taken, by L-BFGS where it led to.
     reason : str
         Why the search ended: "steps", "converged", or what went wrong.
     halved : int
