@@ -267,6 +267,7 @@ GROUPS = {
         "FileFormatError",
         "VariantError",
         "RuntimeSetupError",
+        "DerivativeWarning",
     ],
 }
 
