@@ -16,6 +16,8 @@ from .lens import Lens, Surface
 
 #: Newton steps on an asphere; from the conic's hit some five suffice.
 _STEPS = 60
+#: Rays aimed at a rim meet it but for rounding: they pass if they are off by less, relatively.
+_RIM = 1e-9
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,8 @@ class Trace:
     path : ndarray
         ``(N,)`` optical path lengths from the origins to the image.
     valid : ndarray
-        ``(N,)`` mask of rays that met every surface, inside every clear aperture if `vignetting`,
-        without total reflection.
+        ``(N,)`` mask of rays that met every surface, inside every clear aperture or on its rim if
+        `vignetting`, without total reflection.
     stopped : ndarray
         ``(N,)`` index of the surface that ended a ray, -1 if none.
 
@@ -185,7 +187,8 @@ def trace(
         r = np.hypot(p[:, 0], p[:, 1])
         ended = np.isnan(t)
         if vignetting and not last:
-            ended |= ~((r <= surface.semi_diameter) & (r >= surface.inner))
+            outer, inner = surface.semi_diameter * (1 + _RIM), surface.inner * (1 - _RIM)
+            ended |= ~((r <= outer) & (r >= inner))
         path += index[i] * t
         if not last:
             n = normals(surface, p)

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from mitsuba_bezier.errors import PrescriptionError
-from mitsuba_bezier.optics import Constant, Lens, Surface, beam, first_order, spot, trace
+from mitsuba_bezier.optics import (
+    Constant,
+    Lens,
+    Surface,
+    beam,
+    first_order,
+    pupil_grid,
+    spot,
+    trace,
+)
 from mitsuba_bezier.optics.frames import shift, turn
 from mitsuba_bezier.optics.trace import meet, normals
 
@@ -146,6 +155,21 @@ def test_rays_are_aimed_at_the_real_stop():
     assert np.abs(at - size * pupil).max() < 1e-9 * size
     paraxial = trace(lens, *beam(lens, (0, 12), pupil, aim=False)).local[2][:, :2]
     assert np.abs(paraxial - size * pupil).max() > 1e-3 * size
+
+
+@pytest.mark.parametrize("size", [5.0, 7.3, 11.1, 25.0])
+def test_rays_aimed_at_a_rim_pass(size):
+    mirror = Surface(-1 / 200, -101, mirror=True, conic=-1, semi_diameter=size)
+    for rings in (3, 6, 11):
+        found = spot(Lens([mirror]), pupil=pupil_grid(rings))
+        assert found.transmitted == 1
+        # 1 mm behind the focus, to which the ray from the rim has 100 - size^2 / 400 to go
+        assert found.radius == pytest.approx(size / (100 - size**2 / 400), rel=1e-12)
+    # no more than rounding: a micrometre beyond a rim is outside of it
+    ring = Lens([Surface(0.0, 1, semi_diameter=size, inner=size / 2)])
+    heights = [size, size + 1e-3, size / 2, size / 2 - 1e-3]
+    passed = trace(ring, [[0, y, -1] for y in heights], [[0, 0, 1]] * 4).valid
+    assert passed.tolist() == [True, False, True, False]
 
 
 def test_arrays_of_other_shapes_are_refused():
