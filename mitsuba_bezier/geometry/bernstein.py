@@ -392,8 +392,14 @@ def split_matrices(n: int, times: int = 1) -> np.ndarray:
 
 
 @cache
-def elevation_matrix(n: int) -> np.ndarray:
-    """Return the ``(K_{n+1}, K_n)`` matrix of degree elevation from `n` to ``n + 1``."""
+def elevation_matrix(n: int, degree: int | None = None) -> np.ndarray:
+    """Return the ``(K_degree, K_n)`` matrix of elevation from `n` to `degree`, or to ``n + 1``."""
+    if degree is not None and degree != n + 1:
+        steps = np.eye(size(n))
+        for m in range(n, degree):
+            steps = elevation_matrix(m) @ steps
+        steps.setflags(write=False)
+        return steps
     out = np.zeros((size(n + 1), size(n)))
     for r, (i, j, k) in enumerate(multi_indices(n + 1)):
         if i:
@@ -406,11 +412,15 @@ def elevation_matrix(n: int) -> np.ndarray:
     return out
 
 
-def elevated(net: np.ndarray, n: int) -> np.ndarray:
-    """Return nets ``(..., K_n, d)`` elevated to degree ``n + 1``.
+def elevated(net: np.ndarray, n: int, degree: int | None = None) -> np.ndarray:
+    """Return nets ``(..., K_n, d)`` elevated to `degree`, or to ``n + 1``.
 
-    The same as the matrix, whose rows have three entries; of high degree it is too large.
+    The same as the matrix, whose rows have three entries a step; of high degree it is too large.
     """
+    if degree is not None and degree != n + 1:
+        for m in range(n, degree):
+            net = elevated(net, m)
+        return net
     if n <= 16:
         return elevation_matrix(n) @ net
     i, j, k = multi_indices(n + 1).T

@@ -302,9 +302,9 @@ def warped(patches: BezierTriangles, field: BezierField, factor: float = 1.0) ->
     plain = bool((weight == weight[:, :1]).all())
     top = max(patches.degree, field.degree)
     if field.weights is None and plain:
-        net = _elevated(net, patches.degree, top).copy()
+        net = bernstein.elevated(net, patches.degree, top).copy()
         net[..., 3] = weight[:, :1]  # without the rounding of elevation
-        net[..., :3] += _elevated(moved, field.degree, top) * weight[:, :1, None]
+        net[..., :3] += bernstein.elevated(moved, field.degree, top) * weight[:, :1, None]
         return BezierTriangles(net)
     if field.weights is not None and field.degree == patches.degree:
         # VTK's way: both are quotients of the same weights, up to a factor a patch
@@ -324,12 +324,6 @@ def warped(patches: BezierTriangles, field: BezierField, factor: float = 1.0) ->
     out = products(net, own)
     out[..., :3] += products(moved, weight[..., None])
     return BezierTriangles(out)
-
-
-def _elevated(net: np.ndarray, n: int, degree: int) -> np.ndarray:
-    for m in range(n, degree):
-        net = bernstein.elevated(net, m)
-    return net
 
 
 def nearest_names(name: str, known: Sequence[str]) -> list[str]:

@@ -399,10 +399,7 @@ class BezierTriangles:
         """
         if times < 0:
             raise NetError.expected("times", "a number of elevations >= 0", times)
-        net = self._net
-        for m in range(self.degree, self.degree + times):
-            net = bernstein.elevated(net, m)
-        return BezierTriangles(net)
+        return BezierTriangles(bernstein.elevated(self._net, self.degree, self.degree + times))
 
     def transform(self, matrix: Any) -> BezierTriangles:
         """Return the image under a collineation.

@@ -145,11 +145,10 @@ def _elevation(n: int, degree: int | None) -> tuple[np.ndarray, np.ndarray]:
     source, weight : (T, width) arrays
         Slot `k` is the sum of ``weight[t, k]`` times number ``source[t, k]`` of the net.
     """
-    matrix = np.eye(bernstein.size(n))
     if degree is None:
         degree, matrix = n, np.diag(bernstein.multinomials(n))
-    for m in range(n, degree):
-        matrix = bernstein.elevation_matrix(m) @ matrix
+    else:
+        matrix = bernstein.elevation_matrix(n, degree)
     full = np.zeros((padded_width(degree), bernstein.size(n) * 4))
     full[: bernstein.size(degree) * 4] = np.kron(matrix, np.eye(4))
     terms = max(1, int((full != 0).sum(axis=1).max()))

@@ -20,9 +20,7 @@ _TOLERANCE = 3e-7
 @cache
 def _matrices(n: int, m: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the elevation from degree `m` to `n`, and the least squares inverse."""
-    up = np.eye(bernstein.size(m))
-    for k in range(m, n):
-        up = bernstein.elevation_matrix(k) @ up
+    up = bernstein.elevation_matrix(m, n)
     return up, np.linalg.pinv(up)
 
 

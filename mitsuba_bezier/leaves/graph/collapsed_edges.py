@@ -131,10 +131,7 @@ def fan(net: np.ndarray, corner: int, u: float) -> tuple[np.ndarray, np.ndarray]
         points = _at(net, rows)
         if (points[:, 3] == 0).any():
             continue  # the point of the edge is at infinity: nothing there to hit
-        flat = points / points[:, 3:]
-        for m in range(1, n):
-            flat = bernstein.elevation_matrix(m) @ flat
-        nets.append(flat)
+        nets.append(bernstein.elevated(points / points[:, 3:], 1, n))
         domains.append(rows.T)
     if not nets:
         return np.zeros((0, *net.shape)), np.zeros((0, 3, 3))

@@ -63,20 +63,11 @@ def lowered(net: np.ndarray, size: np.ndarray) -> Nets:
 
 
 @cache
-def _elevation(m: int, n: int) -> np.ndarray:
-    """Return the matrix that elevates nets from degree `m` to `n`."""
-    out = np.eye(bernstein.size(m))
-    for k in range(m, n):
-        out = bernstein.elevation_matrix(k) @ out
-    return out
-
-
-@cache
 def _graded_basis(n: int) -> np.ndarray:
     """Return an orthonormal basis of nets of degree `n`, in rows, those of low degree first."""
     rows = np.zeros((0, bernstein.size(n)))
     for m in range(n + 1):
-        up = _elevation(m, n)
+        up = bernstein.elevation_matrix(m, n)
         for _ in range(2):  # again, for the last digits
             up = up - rows.T @ (rows @ up)
         rows = np.concatenate([rows, np.linalg.svd(up)[0][:, : m + 1].T])
@@ -86,5 +77,5 @@ def _graded_basis(n: int) -> np.ndarray:
 @cache
 def _to_monomials(n: int, m: int, size: int) -> np.ndarray:
     """Return the matrix from nets of degree `n` over `T` to the nearest monomials of degree `m`."""
-    nearest = np.linalg.pinv(_elevation(m, n))
+    nearest = np.linalg.pinv(bernstein.elevation_matrix(m, n))
     return bernstein.monomial_matrix(m) @ np.linalg.solve(to_triangle(m, size), nearest)

@@ -304,8 +304,7 @@ def _fallback_triangles(
     close = np.einsum("tic,tjc->tij", ray, ray).min(axis=(1, 2)) > _MIN_COSINE
     middle = points.mean(axis=1, keepdims=True)
     points = middle + _GROWTH * (points - middle)
-    for m in range(1, n):
-        points = bernstein.elevation_matrix(m) @ points
+    points = bernstein.elevated(points, 1, n)
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
     leaves, good, _way = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
     leaves.certified[:] = False
