@@ -22,7 +22,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from common import set_variant
+from common import set_variant, to_mesh
 
 #: Pixels along the field, and how far the mesh may be off, in pixels.
 FRAME, ERROR = 3840, 0.01
@@ -84,12 +84,7 @@ def load_mesh(points: np.ndarray, faces: np.ndarray) -> Any:
     import drjit as dr
     import mitsuba as mi
 
-    mesh = mi.Mesh("mesh", len(points), len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = points.ravel()
-    parameters["faces"] = faces.ravel()
-    parameters.update()
-    scene = mi.load_dict({"type": "scene", "mesh": mesh})
+    scene = mi.load_dict({"type": "scene", "mesh": to_mesh(points, faces)})
     hit = scene.ray_test(mi.Ray3f([0, 0, 9], [0, 0, -1]))
     dr.eval(hit)
     dr.sync_thread()

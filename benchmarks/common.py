@@ -37,6 +37,7 @@ __all__ = [
     "resolution_for",
     "set_variant",
     "time_in_turns",
+    "to_mesh",
     "to_rays",
 ]
 
@@ -129,13 +130,23 @@ def resolution_for(patches: int, triangles: int) -> int:
 
 def mesh(patches: mb.BezierTriangles, triangles: int, bsdf: Any = None) -> Any:
     """Return the patches as a mesh of at least that many triangles."""
-    vertices, faces = patches.tessellate(resolution_for(len(patches), triangles))
+    return to_mesh(*patches.tessellate(resolution_for(len(patches), triangles)), bsdf=bsdf)
+
+
+def to_mesh(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray | None = None, bsdf: Any = None
+) -> Any:
+    """Return a mesh of Mitsuba, given its vertices, triangles, and normals at the vertices."""
     props = mi.Properties()
     if bsdf is not None:
         props["bsdf"] = bsdf
-    result = mi.Mesh("mesh", len(vertices), len(faces), props=props)
+    result = mi.Mesh(
+        "mesh", len(vertices), len(faces), props=props, has_vertex_normals=normals is not None
+    )
     params = mi.traverse(result)
     params["vertex_positions"] = mi.Float(vertices.astype(np.float32).ravel())
+    if normals is not None:
+        params["vertex_normals"] = mi.Float(normals.astype(np.float32).ravel())
     params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
     params.update()
     return result

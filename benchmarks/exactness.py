@@ -44,7 +44,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for a caller that is not in th
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from common import camera_rays, machine, random_rays, set_variant, to_rays
+from common import camera_rays, machine, random_rays, set_variant, to_mesh, to_rays
 from speed_surfaces import bezier_shape, patches_of
 from tqdm import tqdm
 
@@ -125,7 +125,7 @@ def cuts(patches: mb.BezierTriangles, chord: float) -> int:
 
 
 def mesh_arrays(surface: str, chord: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return vertices, normals and faces of a tessellation; None if they are too many."""
+    """Return vertices, faces and normals of a tessellation; None if they are too many."""
     if surface == "part":
         return _opencascade(part(), chord * SIZE)
     patches = patches_of({"sphere": "sphere, octants"}.get(surface, surface))
@@ -135,7 +135,7 @@ def mesh_arrays(surface: str, chord: float) -> tuple[np.ndarray, np.ndarray, np.
     vertices, faces = patches.tessellate(n)
     uv = bernstein.multi_indices(n)[:, :2] / n
     normals = [patches.normals(np.full(len(uv), k), uv) for k in range(len(patches))]
-    return vertices, np.concatenate(normals), faces
+    return vertices, faces, np.concatenate(normals)
 
 
 def _opencascade(shape: Any, chord: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -166,18 +166,7 @@ def _opencascade(shape: Any, chord: float) -> tuple[np.ndarray, np.ndarray, np.n
             faces.append((count + a - 1, count + b - 1, count + c - 1)[:: -1 if turned else 1])
         count += triangles.NbNodes()
         explorer.Next()
-    return np.array(vertices), np.array(normals), np.array(faces)
-
-
-def load_mesh(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> Any:
-    """Return a mesh of Mitsuba."""
-    mesh = mi.Mesh("mesh", len(vertices), len(faces), has_vertex_normals=True)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
-    parameters["vertex_normals"] = normals.astype(np.float32).ravel()
-    parameters["faces"] = faces.astype(np.uint32).ravel()
-    parameters.update()
-    return mesh
+    return np.array(vertices), np.array(faces), np.array(normals)
 
 
 # ---------------------------------------------------------------------- one case
@@ -232,11 +221,11 @@ def case(options: argparse.Namespace) -> dict[str, Any] | None:
         if arrays is None:
             return None
         # what kernels and packages take is not the scene's
-        tiny = load_mesh(np.eye(3), np.eye(3), np.array([[0, 1, 2]]))
+        tiny = to_mesh(np.eye(3), np.array([[0, 1, 2]]), np.eye(3))
         trace(mi.load_dict({"type": "scene", "shape": tiny}))
         dr.sync_thread()
         before, start = resident(), time.process_time()
-        scene = mi.load_dict({"type": "scene", "shape": load_mesh(*arrays)})
+        scene = mi.load_dict({"type": "scene", "shape": to_mesh(*arrays)})
         build = time.process_time() - start
         si = trace(scene)
         dr.sync_thread()
@@ -254,7 +243,7 @@ def case(options: argparse.Namespace) -> dict[str, Any] | None:
             np.save(options.out / f"{name}.npy", np.array(value).T)
         np.save(options.out / "net.npy", scene.shapes()[0].patches.control_points)
     else:
-        row["triangles"] = len(arrays[2])
+        row["triangles"] = len(arrays[1])
     return row
 
 

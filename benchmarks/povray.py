@@ -33,7 +33,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from common import machine, set_variant
-from make_classics import DATA, QUARTER
+from make_classics import bicubics
 from speed_surfaces import bezier_shape
 from tqdm import tqdm
 
@@ -45,23 +45,6 @@ AT, FIELD = (0.5, -3.2, 1.4), 45.0
 FORM = (1.0, 1.7, 2.6)
 #: A patch has ``2 4^steps`` triangles.
 STEPS = (2, 5)
-
-
-def bicubics() -> np.ndarray:
-    """Return the teapot's patches, ``(32, 4, 4, 3)``."""
-    lines = [line.split() for line in DATA.read_text().splitlines()]
-    lines = [words for words in lines if words and not words[0].startswith("#")]
-    _name, vertices, _v, patches, _p = lines.pop(0)
-    points = np.array([lines.pop(0) for _ in range(int(vertices))], float)
-    nets = []
-    for _ in range(int(patches)):
-        times, *index = map(int, lines.pop(0))
-        net = points[index].reshape(4, 4, 3)
-        for turn in range(times):
-            mirrored = net * [1, -1, 1] if times == 2 and turn else net
-            nets.append(mirrored)
-            net = net @ QUARTER if times == 4 else net
-    return np.array(nets)
 
 
 def into_frame(points: np.ndarray) -> np.ndarray:
@@ -76,7 +59,7 @@ def surfaces() -> dict[str, tuple[dict[str, Any], str]]:
 
     ball = mb.sphere(cover="tetrahedral")
     squeeze = np.diag([*(1 / np.sqrt(FORM)), 1.0])
-    nets = into_frame(bicubics())
+    nets = into_frame(bicubics()["teapot"])
     tensor = np.concatenate([nets, np.ones((*nets.shape[:3], 1))], axis=-1)
     teapot = bezier_shape(tensor_to_triangles(tensor))
 

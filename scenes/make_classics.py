@@ -15,7 +15,7 @@ from mitsuba_bezier.geometry.tensor import tensor_to_triangles
 from mitsuba_bezier.geometry.triangles import BezierTriangles
 from mitsuba_bezier.io import save
 
-__all__ = ["FOLDER", "main", "models"]
+__all__ = ["FOLDER", "bicubics", "main", "models"]
 
 FOLDER = Path(__file__).resolve().parent / "models"
 DATA = Path(__file__).resolve().parent / "newell_teaset.txt"
@@ -23,8 +23,8 @@ DATA = Path(__file__).resolve().parent / "newell_teaset.txt"
 QUARTER = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
-def models() -> dict[str, BezierTriangles]:
-    """Return the models by the name of their file, without suffix."""
+def bicubics() -> dict[str, np.ndarray]:
+    """Return the bicubic patches ``(P, 4, 4, 3)`` of the models by their names."""
     lines = [line.split() for line in DATA.read_text().splitlines()]
     lines = [words for words in lines if words and not words[0].startswith("#")]
     out = {}
@@ -42,7 +42,15 @@ def models() -> dict[str, BezierTriangles]:
                 for _turn in range(times):
                     nets.append(net)
                     net = net @ QUARTER
-        tensor = np.concatenate([np.array(nets), np.ones((len(nets), 4, 4, 1))], axis=-1)
+        out[name] = np.array(nets)
+    return out
+
+
+def models() -> dict[str, BezierTriangles]:
+    """Return the models by the name of their file, without suffix."""
+    out = {}
+    for name, nets in bicubics().items():
+        tensor = np.concatenate([nets, np.ones((*nets.shape[:3], 1))], axis=-1)
         net = tensor_to_triangles(tensor).control_points.copy()
         net[..., 3] = 1.0  # polynomial, without the rounding of a sum of shares
         out[name] = BezierTriangles(net)
