@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from .contours import edge_segments, open_edges
+from .sign_changes import evaluate
 from .triangles import BezierTriangles
 from .trims import Trims
 
@@ -88,11 +89,8 @@ def _curve_points(curves: list[np.ndarray], curve: np.ndarray, t: np.ndarray) ->
     out = np.zeros((len(curve), 2))
     for k in np.unique(curve):
         mine = curve == k
-        level = [np.broadcast_to(p, (int(mine.sum()), 3)) for p in curves[k]]
-        x = t[mine, None]
-        while len(level) > 1:
-            level = [(1 - x) * p + x * q for p, q in pairwise(level)]
-        out[mine] = level[0][:, :2] / level[0][:, 2:]
+        h = evaluate(curves[k], t[mine])
+        out[mine] = h[:, :2] / h[:, 2:]
     return out
 
 
@@ -117,24 +115,26 @@ def trim_segments(patches: BezierTriangles, trims: Trims) -> TrimSegments:
     steps = np.linspace(0, 1, _PARTS + 1)
     t = np.tile(np.stack([steps[:-1], steps[1:]], axis=1), (len(pairs), 1))
 
-    def place(t: np.ndarray) -> np.ndarray:
-        return _on_patch(trims, patch, _curve_points(curves, curve, t))
+    def place(rows: Any, t: np.ndarray) -> np.ndarray:
+        return _on_patch(trims, patch[rows], _curve_points(curves, curve[rows], t))
 
-    def is_in(t: np.ndarray) -> np.ndarray:
-        return _least(place(t)) > -_ALONG
+    def is_in(rows: Any, t: np.ndarray) -> np.ndarray:
+        return _least(place(rows, t)) > -_ALONG
 
     # cut where a curve leaves its patch
-    start, stop = is_in(t[:, 0]), is_in(t[:, 1])
-    low, high = t[:, 0].copy(), t[:, 1].copy()
+    every = slice(None)
+    start, stop = is_in(every, t[:, 0]), is_in(every, t[:, 1])
+    cut = np.flatnonzero(start != stop)
+    low, high = t[cut].T
     for _ in range(40):
         middle = (low + high) / 2
-        same = is_in(middle) == start
+        same = is_in(cut, middle) == start[cut]
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-    t[:, 0] = np.where(start, t[:, 0], high)
-    t[:, 1] = np.where(stop, t[:, 1], low)
+    t[cut, 0] = np.where(start[cut], t[cut, 0], high)
+    t[cut, 1] = np.where(start[cut], low, t[cut, 1])
     good = start | stop
     patch, curve, t = patch[good], curve[good], t[good]
-    a, b, middle = place(t[:, 0]), place(t[:, 1]), place(t.mean(axis=1))
+    a, b, middle = (place(every, x) for x in (t[:, 0], t[:, 1], t.mean(axis=1)))
     chord = b - a
     left = np.stack([-chord[:, 1], chord[:, 0]], axis=1)
     length = np.linalg.norm(left, axis=1, keepdims=True)

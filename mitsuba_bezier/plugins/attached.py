@@ -20,11 +20,8 @@ __all__ = ["attached_tables", "is_attached"]
 
 def is_attached(shape: Any) -> bool:
     """Return whether derivatives by the parameters of a shape are wanted now."""
-    more = [
-        *shape.sag_parameters,
-        *(x for x in (shape.instance_maps, shape.trim_points) if x is not None),
-    ]
-    return bool(dr.grad_enabled(shape.control_points, shape.to_world, *more))
+    more = shape.instance_maps, shape.trim_points  # or None
+    return bool(dr.grad_enabled(shape.control_points, shape.to_world, *shape.sag_parameters, *more))
 
 
 def attached_tables(tables: Any, shapes: list[Any]) -> Any:

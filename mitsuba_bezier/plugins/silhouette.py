@@ -286,10 +286,10 @@ class SilhouetteCurves:
         """
         place = tables.place(point.instance, active)
         p, pu, pv = tables.partials(point.patch, point.u, point.v, active, place)
-        if self.trims is None or not self.trims.moves(self.data):
+        if self.trims is None or not self.trims.moves():
             return p
         on_cut = active & (point.cut > 0)
-        uv = self.trims.point(point.cut - 1, point.s, on_cut, self.trims.attached(self.data)).uv
+        uv = self.trims.point(point.cut - 1, point.s, on_cut, self.trims.attached()).uv
         du, dv = (dr.replace_grad(mi.Float(0), dr.select(on_cut, x, 0.0)) for x in (uv.x, uv.y))
         return p + dr.detach(pu) * du + dr.detach(pv) * dv
 

@@ -45,7 +45,7 @@ class TrimCurves:
         self._heads: list[np.ndarray] = []
         self._points: list[np.ndarray] = []
         self._index: list[np.ndarray] = []
-        self._shapes: list[int] = []
+        self._shapes: list[Any] = []
         self._count = self._used = self._first = 0
         self.degrees: set[int] = set()
 
@@ -77,7 +77,7 @@ class TrimCurves:
         self._heads.append(np.stack([starts[found.curve], degree[found.curve]], axis=1))
         self._index += [i + self._first for i in index]
         self._points.append(points)
-        self._shapes.append(first)
+        self._shapes.append(shape)
         self._used = int(starts[-1])
         self._first += len(points)
         self.degrees |= set(degree.tolist())
@@ -98,19 +98,16 @@ class TrimCurves:
         self.points = upload(mi.Float64, np.concatenate([*self._points, np.zeros((1, 3))]))
         return self
 
-    def _tensors(self, data: Any) -> list[Any]:
-        first = np.cumsum([0] + [len(s.patches) for s in data.shapes]).tolist()
-        return [data.shapes[first.index(k)].trim_points for k in self._shapes]
-
-    def moves(self, data: Any) -> bool:
+    def moves(self) -> bool:
         """Return whether any of the curves has derivatives."""
-        return bool(dr.grad_enabled([x for x in self._tensors(data) if x is not None]))
+        return bool(dr.grad_enabled([shape.trim_points for shape in self._shapes]))
 
-    def attached(self, data: Any) -> Any:
+    def attached(self) -> Any:
         """Return the control points of all curves, with derivatives."""
+        tensors = [shape.trim_points for shape in self._shapes]
         parts = [
             dr.zeros(mi.Float64, 3 * len(points)) if tensor is None else mi.Float64(tensor.array)
-            for tensor, points in zip(self._tensors(data), self._points)
+            for tensor, points in zip(tensors, self._points)
         ]
         return dr.replace_grad(self.points, dr.concat([*parts, dr.zeros(mi.Float64, 3)]))
 

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from ...errors import BezierError
 from .bezierpath import make_path_class
+from .depths import check_count
 from .indirect_silhouette import indirect_silhouette_image
 from .primary_silhouette import primary_silhouette_image
 from .specular_silhouette import specular_silhouette_image
@@ -49,10 +50,7 @@ def make_prb_projective_class() -> type:
         def __init__(self, props: mi.Properties) -> None:
             for key in ("sppc", "sppp", "sppi", "spps"):
                 value = props.get(key, None)
-                good = isinstance(value, int) and not isinstance(value, bool) and value >= 0
-                if value is not None and not good:
-                    raise BezierError.expected(key, "an integer >= 0", repr(value))
-                setattr(self, "_" + key, value)
+                setattr(self, "_" + key, None if value is None else check_count(key, value))
             if "shadow_steps" in props:
                 raise BezierError.expected(
                     "shadow_steps",

@@ -9,20 +9,12 @@ import drjit as dr
 import mitsuba as mi
 
 from ... import _runtime
-from ...errors import BezierError
-from .depths import check_depths
-from .left_out import check_parameters, warn_of_outlines
+from .depths import check_count, check_depths
+from .left_out import checked_parameters, warn_of_outlines
 from .path_replay import replay
 from .path_tracing import trace
 
 __all__ = ["make_path_class"]
-
-
-def _steps(props: mi.Properties) -> int:
-    value = props.get("shadow_steps", 0)
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise BezierError.expected("shadow_steps", "an integer >= 0", repr(value))
-    return value
 
 
 def make_path_class() -> type:
@@ -71,7 +63,7 @@ def make_path_class() -> type:
             #: Its name, and whether it has derivatives of outlines of patches
             self.spelled, self.has_outlines = "bezierpath", False
             #: Intervals in which edges of soft shadows are searched for; 0: nowhere
-            self.shadow_steps = _steps(props)
+            self.shadow_steps = check_count("shadow_steps", props.get("shadow_steps", 0))
 
         def sample(
             self,
@@ -88,8 +80,8 @@ def make_path_class() -> type:
             if mode == dr.ADMode.Primal:
                 L, valid = trace(self, scene, sampler, ray, active)
                 return L, valid, [], L
-            check_parameters(self.spelled, scene)
-            warn_of_outlines(self.spelled, scene, self.has_outlines)
+            found = checked_parameters(self.spelled, scene)
+            warn_of_outlines(self.spelled, found, self.has_outlines)
             δL, valid, rest = replay(self, mode, scene, sampler, ray, δL, state_in, active)
             return δL, valid, [], rest
 

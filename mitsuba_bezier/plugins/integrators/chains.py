@@ -45,20 +45,24 @@ def has_delta(scene: Any) -> bool:
 
 
 def with_derivatives(scene: Any) -> list[tuple[str, Any, Any]]:
-    """Return the parameters that have derivatives now: names, the objects they are of, flags."""
+    """Return the parameters that have derivatives now: names, the objects they are of, flags.
+
+    Also those that nothing has derivatives by; see `left_out.checked_parameters`.
+    """
     params = mi.traverse(scene)
     found = []
     with dr.resume_grad():
         for key in params.keys():  # noqa: SIM118 (no dict)
-            _value, _kind, node, flags = params.properties[key]
-            if not flags & mi.ParamFlags.NonDifferentiable and dr.grad_enabled(params[key]):
+            if dr.grad_enabled(params[key]):
+                _value, _kind, node, flags = params.properties[key]
                 found.append((key, node, flags))
     return found
 
 
 def is_followed(node: Any, flags: Any) -> bool:
     """Return whether rays may follow a parameter: a place, a normal, an ior."""
-    return bool(flags & mi.ParamFlags.Discontinuous or isinstance(node, mi.Shape | mi.BSDF))
+    moves = flags & mi.ParamFlags.Discontinuous or isinstance(node, mi.Shape | mi.BSDF)
+    return bool(moves and not flags & mi.ParamFlags.NonDifferentiable)
 
 
 def what_moves(scene: Any) -> list[str]:

@@ -1,12 +1,27 @@
-"""The parameters ``max_depth`` and ``rr_depth`` that path tracers share."""
+"""Parameters of integrators that are numbers: depths of paths, and counts."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import mitsuba as mi
 
 from ...errors import BezierError
 
-__all__ = ["check_depths"]
+__all__ = ["check_count", "check_depths"]
+
+
+def check_count(key: str, value: Any) -> int:
+    """Return a number of samples or steps, checked.
+
+    Raises
+    ------
+    BezierError
+        If it is not an integer, or negative.
+    """
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise BezierError.expected(key, "an integer >= 0", repr(value))
+    return value
 
 
 def check_depths(props: mi.Properties) -> None:

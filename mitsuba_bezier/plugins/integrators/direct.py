@@ -12,6 +12,7 @@ from ... import _runtime
 from ...errors import BezierError
 from ..offsets import spawn_ray
 from ..scene import SceneRays
+from .depths import check_count
 from .emitters import EmitterSampling
 from .path_tracing import mis_weight, skip_emitters
 
@@ -51,13 +52,6 @@ def make_depth_class() -> type:
     return BezierDepth
 
 
-def _count(props: mi.Properties, key: str, default: int) -> int:
-    value = props.get(key, default)
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise BezierError.expected(key, "an integer >= 0", repr(value))
-    return value
-
-
 def make_direct_class() -> type:
     """Return the class of ``bezierdirect`` for the variant that is set now."""
     base = import_module("mitsuba.python.ad.integrators.common").ADIntegrator
@@ -94,9 +88,11 @@ def make_direct_class() -> type:
                 raise BezierError.expected(
                     "shading_samples", "not together with emitter_samples or bsdf_samples", "both"
                 )
-            both = _count(props, "shading_samples", 1)
-            self.emitter_samples = _count(props, "emitter_samples", both)
-            self.bsdf_samples = _count(props, "bsdf_samples", both)
+            both = check_count("shading_samples", props.get("shading_samples", 1))
+            self.emitter_samples, self.bsdf_samples = (
+                check_count(key, props.get(key, both))
+                for key in ("emitter_samples", "bsdf_samples")
+            )
             if self.emitter_samples + self.bsdf_samples == 0:
                 raise BezierError.expected("shading_samples", "at least one sample", "none")
             super().__init__(props)

@@ -5,34 +5,28 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 
 from ...errors import BezierError, DerivativeWarning
 from ..frozen import is_bezier
 from .chains import with_derivatives
 
-__all__ = ["check_parameters", "warn_of_outlines"]
+__all__ = ["checked_parameters", "warn_of_outlines"]
 
 #: What has been said: a fit asks for the same derivative at each of its steps.
 _said: set[str] = set()
 
 
-def check_parameters(integrator: str, scene: Any) -> None:
-    """Refuse derivatives by what Mitsuba has none for, as the place of a camera.
+def checked_parameters(integrator: str, scene: Any) -> list[tuple[str, Any, Any]]:
+    """Return `with_derivatives`; refuse what Mitsuba has none by, as the place of a camera.
 
     Raises
     ------
     BezierError
         If such a parameter has derivatives enabled.
     """
-    params = mi.traverse(scene)
-    fixed = []
-    with dr.resume_grad():
-        for key in params.keys():  # noqa: SIM118 (no dict)
-            _value, _kind, _node, flags = params.properties[key]
-            if flags & mi.ParamFlags.NonDifferentiable and dr.grad_enabled(params[key]):
-                fixed.append(key)
+    found = with_derivatives(scene)
+    fixed = [key for key, _node, flags in found if flags & mi.ParamFlags.NonDifferentiable]
     if fixed:
         raise BezierError.expected(
             integrator,
@@ -40,22 +34,24 @@ def check_parameters(integrator: str, scene: Any) -> None:
             "cameras, and of lights that are no shapes; bezierpath has them by that of shapes)",
             ", ".join(fixed),
         )
+    return found
 
 
-def warn_of_outlines(integrator: str, scene: Any, patches: bool) -> None:
+def warn_of_outlines(integrator: str, found: list[tuple[str, Any, Any]], patches: bool) -> None:
     """Say once that shapes move whose outlines have no derivatives here.
 
     Parameters
     ----------
     integrator : str
         Its name.
-    scene : mi.Scene
+    found : list
+        Of `checked_parameters`.
     patches : bool
         Whether the integrator has outlines of `beziertriangle` shapes.
     """
     ours: list[str] = []
     theirs: list[str] = []
-    for key, node, flags in with_derivatives(scene):
+    for key, node, flags in found:
         if isinstance(node, mi.Shape) and flags & mi.ParamFlags.Discontinuous:
             (ours if is_bezier(node) else theirs).append(key)
     moving = theirs if patches else ours + theirs

@@ -16,9 +16,9 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..offsets import spawn_ray, spawn_ray_to
 from ..scene import SceneRays
-from .chains import Bend, Chains, Vertex, has_delta, is_followed, with_derivatives
+from .chains import Bend, Chains, Vertex, has_delta, is_followed
 from .emitters import EmitterSampling
-from .left_out import check_parameters, warn_of_outlines
+from .left_out import checked_parameters, warn_of_outlines
 from .path_replay import relative, solid_angle
 from .path_tracing import russian_roulette
 
@@ -174,9 +174,8 @@ class LightReplay:
     ) -> None:
         self.integrator, self.rays, self.sensor, self.mode = integrator, rays, sensor, mode
         self.image, self.channels, self.scale = image, channels, scale
-        check_parameters("bezierptracer", rays.scene)
-        warn_of_outlines("bezierptracer", rays.scene, False)
-        found = with_derivatives(rays.scene)
+        found = checked_parameters("bezierptracer", rays.scene)
+        warn_of_outlines("bezierptracer", found, False)
         moving = [(key, node) for key, node, flags in found if is_followed(node, flags)]
         ends = [key for key, node in moving if _is_end(node)]
         if ends:

@@ -15,18 +15,17 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..native.originals import original
 from ..scene import SceneRays
-from .chains import with_derivatives
-from .left_out import check_parameters
+from .left_out import checked_parameters
 from .media import Media, transmittance, transmittance_by_colour, with_coefficients
 from .path_replay import relative
 
 __all__ = ["MediumAdjoint"]
 
 
-def _turning(scene: Any) -> list[str]:
-    """Return parameters with derivatives that move what rays meet, or rays."""
+def _turning(found: list[tuple[str, Any, Any]]) -> list[str]:
+    """Return the names of parameters that move what rays meet, or rays."""
     turning = []
-    for key, node, flags in with_derivatives(scene):
+    for key, node, flags in found:
         delta = isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Delta)
         moves = isinstance(node, mi.Shape | mi.Emitter | mi.Sensor) or delta
         if moves and flags & mi.ParamFlags.Discontinuous:
@@ -54,8 +53,7 @@ class MediumAdjoint:
             raise BezierError.expected(
                 "beziervolpath", "a variant without polarization for derivatives", mi.variant()
             )
-        check_parameters("beziervolpath", scene)
-        turning = _turning(scene)
+        turning = _turning(checked_parameters("beziervolpath", scene))
         if turning:
             raise BezierError.expected(
                 "beziervolpath",

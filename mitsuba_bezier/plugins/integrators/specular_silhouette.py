@@ -284,7 +284,7 @@ def _crossings(chains: _Chains, sampler: Any, film: Any, spp: int) -> Any:
     chosen = []
     for start in range(0, total, _TOGETHER):
         lanes = start + dr.arange(mi.UInt32, min(_TOGETHER, total - start))
-        some, begin, step = _chosen((line, at, along * _PIECE), lanes)
+        some, begin, step = dr.gather(tuple, (line, at, along * _PIECE), lanes)
         ends = []
         for part in (0.0, 0.5, 1.0):  # one kernel for all
             ends.append(chains.follow(some, begin + step * dr.opaque(mi.Float, part)))
@@ -297,7 +297,7 @@ def _crossings(chains: _Chains, sampler: Any, film: Any, spp: int) -> Any:
     which = dr.concat(chosen)
     if dr.width(which) == 0:
         return None
-    line, at, along = _chosen((line, at, along), which)
+    line, at, along = dr.gather(tuple, (line, at, along), which)
     line, low, high, last = _narrowed(chains, line, at, at + along * _PIECE, size)
     if dr.width(low) == 0:
         return None
@@ -330,27 +330,17 @@ def _narrowed(chains: _Chains, line: Any, low: Any, end: Any, size: Any) -> tupl
         inside = dr.all((low >= 0) & (low < size))
         real = dr.compress((differ > _JUMP) & (last > 0) & inside)
         if dr.width(real):
-            found.append(_chosen((line, low, high, last), real))
+            found.append(dr.gather(tuple, (line, low, high, last), real))
         # what is left of the piece, if something is still to be found there
         rest, _where = chains.difference(b, chains.follow(line, end))
         again = dr.compress(rest >= _OTHER)
         if dr.width(again) == 0:
             break
-        line, low, end, begin = _chosen((line, high, end, b), again)
+        line, low, end, begin = dr.gather(tuple, (line, high, end, b), again)
         dr.eval(line, low, end, begin)
     if not found:
-        none = mi.UInt32()
-        found.append(_chosen((line, low, high, last), none))
+        found.append(dr.gather(tuple, (line, low, high, last), mi.UInt32()))
     return _joined(found)
-
-
-def _chosen(tree: Any, index: Any) -> Any:
-    """Return the lanes of a nest of containers that an index names."""
-    if isinstance(tree, dict):
-        return {key: _chosen(value, index) for key, value in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return type(tree)(_chosen(value, index) for value in tree)
-    return dr.gather(type(tree), tree, index)
 
 
 def _joined(parts: list[Any]) -> Any:
