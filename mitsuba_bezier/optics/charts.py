@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -88,22 +89,37 @@ def draw_mtf(lens: Lens, highest: float | None = None) -> Any:
     return figure
 
 
-def _upwards(axes: Any, lens: Lens, fields: np.ndarray) -> np.ndarray:
-    """Label the axis of fields, and return their distances from the axis of the lens."""
-    kind = "angle / °" if lens.field_kind == "angle" else f"height / {lens.unit}"
-    names = {"angle": "field", "object_height": "object", "image_height": "image"}
-    axes.set_ylabel(f"{names[lens.field_kind]} {kind}")
+def _by_field(
+    lens: Lens,
+    what: str,
+    label: str,
+    curves: Callable[[np.ndarray, float], dict[str, np.ndarray]],
+) -> Any:
+    """Return a figure of departures from 0, to the right, by field, upwards.
+
+    `curves` returns those of fields at a wavelength by their names; the second one is broken.
+    """
+    fields = field_scan(lens, _FIELDS)
+    figure = new_figure(8, 6)
+    axes = figure.add_subplot()
     r = np.hypot(*fields.T)
-    axes.set_ylim(0, r[-1])
-    return r
-
-
-def _centred(axes: Any, values: list[np.ndarray]) -> None:
-    """Give an axis of departures from 0 the same reach on both sides."""
-    reach = max(float(np.nanmax(np.abs(v), initial=0.0)) for v in values)
+    reach = 0.0
+    for k, w in enumerate(lens.wavelengths):
+        for (name, curve), style in zip(curves(fields, w).items(), ("-", "--")):
+            colour = COLOURS[k % len(COLOURS)]
+            axes.plot(curve, r, style, color=colour, label=f"{1000 * w:.1f} nm {name}".rstrip())
+            reach = max(reach, float(np.nanmax(np.abs(curve), initial=0.0)))
     reach = 1.1 * reach if reach > 1e-12 else 1.0
     axes.set_xlim(-reach, reach)
     axes.axvline(0, color="black", lw=0.8)
+    axes.set_ylim(0, r[-1])
+    kind = "angle / °" if lens.field_kind == "angle" else f"height / {lens.unit}"
+    names = {"angle": "field", "object_height": "object", "image_height": "image"}
+    axes.set_ylabel(f"{names[lens.field_kind]} {kind}")
+    axes.set_xlabel(label)
+    _titled(axes, lens, what)
+    _beside(axes)
+    return figure
 
 
 def draw_distortion(lens: Lens) -> Any:
@@ -128,19 +144,11 @@ def draw_distortion(lens: Lens) -> Any:
     >>> draw_distortion(ball).axes[0].get_xlabel()
     'distortion / %'
     """
-    fields = field_scan(lens, _FIELDS)
-    figure = new_figure(8, 6)
-    axes = figure.add_subplot()
-    r = _upwards(axes, lens, fields)
-    curves = []
-    for k, w in enumerate(lens.wavelengths):
-        curves.append(np.array([100 * distortion(lens, tuple(f), w) for f in fields]))
-        axes.plot(curves[-1], r, color=COLOURS[k % len(COLOURS)], label=f"{1000 * w:.1f} nm")
-    _centred(axes, curves)
-    axes.set_xlabel("distortion / %")
-    _titled(axes, lens, "distortion")
-    _beside(axes)
-    return figure
+
+    def curves(fields: np.ndarray, w: float) -> dict[str, np.ndarray]:
+        return {"": np.array([100 * distortion(lens, tuple(field), w) for field in fields])}
+
+    return _by_field(lens, "distortion", "distortion / %", curves)
 
 
 def draw_field_curvature(lens: Lens) -> Any:
@@ -166,24 +174,13 @@ def draw_field_curvature(lens: Lens) -> Any:
     >>> len(draw_field_curvature(ball).axes[0].lines)  # two curves and the image plane
     3
     """
-    fields = field_scan(lens, _FIELDS)
-    figure = new_figure(8, 6)
-    axes = figure.add_subplot()
-    r = _upwards(axes, lens, fields)
-    curves = []
-    for k, w in enumerate(lens.wavelengths):
-        foci, colour = field_curvature(lens, fields, w), COLOURS[k % len(COLOURS)]
-        for curve, style, name in (
-            (foci.tangential, "-", "tangential"),
-            (foci.sagittal, "--", "sagittal"),
-        ):
-            axes.plot(curve, r, style, color=colour, label=f"{1000 * w:.1f} nm {name}")
-            curves.append(curve)
-    _centred(axes, curves)
-    axes.set_xlabel(f"focus behind the image plane / {lens.unit}")
-    _titled(axes, lens, "field curvature")
-    _beside(axes)
-    return figure
+
+    def curves(fields: np.ndarray, w: float) -> dict[str, np.ndarray]:
+        foci = field_curvature(lens, fields, w)
+        return {"tangential": foci.tangential, "sagittal": foci.sagittal}
+
+    label = f"focus behind the image plane / {lens.unit}"
+    return _by_field(lens, "field curvature", label, curves)
 
 
 def draw_focus(lens: Lens, frequency: float | None = None) -> Any:
@@ -229,13 +226,11 @@ def draw_focus(lens: Lens, frequency: float | None = None) -> Any:
     figure = new_figure(10, 2.1 * len(fields) + 4)
     grid = figure.add_gridspec(len(fields) + 2, 2 * _SPOTS)
     stops = np.linspace(-reach, reach, _SPOTS)
-    size = 1.1 * max(
-        1e-12, *(np.abs(_centred_spot(rays, z)).max() for rays in beams for z in stops)
-    )
+    size = 1.1 * max(1e-12, *(np.abs(rays.centred(z)).max() for rays in beams for z in stops))
     for row, (field, rays) in enumerate(zip(fields, beams)):
         for column, z in enumerate(stops):
             axes = figure.add_subplot(grid[row, 2 * column : 2 * column + 2])
-            p = _centred_spot(rays, z)
+            p = rays.centred(z)
             colour = COLOURS[row % len(COLOURS)]
             axes.scatter(p[:, 1], p[:, 0], s=1, linewidths=0, color=colour, rasterized=True)
             axes.set(xlim=(-size, size), ylim=(-size, size), aspect="equal", xticks=[], yticks=[])
@@ -268,8 +263,3 @@ def draw_focus(lens: Lens, frequency: float | None = None) -> Any:
         f"{lens.title or 'Focus'}: spots to one scale, a side is {2 * size:.3g} {lens.unit}"
     )
     return figure
-
-
-def _centred_spot(rays: Arrivals, z: float) -> np.ndarray:
-    p = rays.moved(z)
-    return p - rays.weights @ p

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import PrescriptionError
 from .beams import beam
 from .lens import Lens
-from .mtf import direction
+from .mtf import field_axes
 from .trace import trace
 
 #: How far from the chief ray the rays beside it pass the stop, in its radii: they meet where
@@ -104,15 +104,12 @@ def field_curvature(
     frame = lens.frames()[-1][:3, :3]
     found = np.full((len(points), 2), np.nan)
     for row, field in zip(found, points):
-        along = direction(tuple(field))
-        across = np.array([along[1], -along[0]])
-        for k, side in enumerate((along, across)):
-            pair = _BESIDE * np.array([side, -side])
-            result = trace(
-                lens, *beam(lens, tuple(field), pair, wavelength, aim), wavelength, False
-            )
-            d = result.directions[-1] @ frame
-            p, m = result.local[-1][:, :2] @ side, (d[:, :2] / d[:, 2:]) @ side
-            with np.errstate(divide="ignore", invalid="ignore"):
-                row[k] = -(p[0] - p[1]) / (m[0] - m[1])
+        sides = field_axes(field)
+        rays = beam(lens, tuple(field), _BESIDE * np.array([*sides, *-sides]), wavelength, aim)
+        result = trace(lens, *rays, wavelength, False)
+        d = result.directions[-1] @ frame
+        p, m = result.local[-1][:, :2], d[:, :2] / d[:, 2:]
+        apart, spread = (np.sum((v[:2] - v[2:]) * sides, axis=1) for v in (p, m))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            row[:] = -apart / spread
     return Foci(points, *found.T)

@@ -80,15 +80,19 @@ class Arrivals:
         """Return the points on a plane `defocus` behind the image plane."""
         return self.points + defocus * self.slopes
 
+    def centred(self, defocus: float = 0.0) -> np.ndarray:
+        """Return the points there from their centroid."""
+        p = self.moved(defocus)
+        return p - self.weights @ p
+
     def rms(self, defocus: float = 0.0) -> float:
         """Return the spot's radius there: root mean square about its centroid."""
-        p = self.moved(defocus)
-        p = p - self.weights @ p
+        p = self.centred(defocus)
         return float(np.sqrt(self.weights @ (p**2).sum(axis=1)))
 
     def best(self) -> float:
         """Return the defocus at which the spot is smallest; 0 for parallel rays."""
-        p = self.points - self.weights @ self.points
+        p = self.centred()
         m = self.slopes - self.weights @ self.slopes
         spread = self.weights @ (m**2).sum(axis=1)
         return float(-(self.weights @ (p * m).sum(axis=1)) / spread) if spread > 0 else 0.0
@@ -107,10 +111,11 @@ def pupil_quadrature(rings: int = RINGS, spokes: int = SPOKES) -> tuple[np.ndarr
     return points.reshape(-1, 2), np.repeat(w / (2 * spokes), spokes)
 
 
-def direction(field: tuple[float, float]) -> np.ndarray:
-    """Return the unit vector ``(2,)`` from the axis to a field; y for the one on the axis."""
+def field_axes(field: np.ndarray) -> np.ndarray:
+    """Return unit vectors ``(2, 2)`` from the axis to a field, y for the one on it, and across."""
     length = np.hypot(*field)
-    return np.array(field, float) / length if length else np.array([0.0, 1.0])
+    x, y = field / length if length else (0.0, 1.0)
+    return np.array([[x, y], [y, -x]])
 
 
 def arrivals(
@@ -149,8 +154,7 @@ def arrivals(
     """
     points, areas = pupil_quadrature() if pupil is None else pupil
     given = lens.spectrum() if wavelength is None else [(wavelength, 1.0)]
-    along = direction(tuple(check_field(lens, field)))
-    turn = np.array([along, [along[1], -along[0]]]).T
+    turn = field_axes(check_field(lens, field)).T
     frame = lens.frames()[-1][:3, :3]
     found = []
     for w, weight in given:
@@ -201,8 +205,7 @@ def _cutoff(lens: Lens, wavelength: float) -> float:
 
 def transfer(rays: Arrivals, frequencies: np.ndarray, defocus: float = 0.0) -> np.ndarray:
     """Return the contrast ``(2, F)``, tangential and sagittal, of rays on a plane."""
-    p = rays.moved(defocus)
-    p = p - rays.weights @ p  # small phases
+    p = rays.centred(defocus)  # small phases
     # as many frequencies at a time as take some 50 MB
     step = max(1, 1_500_000 // len(p))
     out = [
@@ -252,8 +255,9 @@ def mtf(
     [1.0, 0.52, 0.123]
     """
     rays = arrivals(lens, field, wavelength)
-    top = highest_frequency(lens, [rays]) if frequencies is None else 0.0
-    f = np.linspace(0, top, 101) if frequencies is None else np.asarray(frequencies, float)
+    if frequencies is None:
+        frequencies = np.linspace(0, highest_frequency(lens, [rays]), 101)
+    f = np.asarray(frequencies, float)
     if f.ndim != 1 or not len(f) or not (np.isfinite(f).all() and (f >= 0).all()):
         raise PrescriptionError.expected("frequencies", "numbers from 0 on", frequencies)
     if not np.isfinite(defocus):
