@@ -37,17 +37,13 @@ from optics_cases import (  # noqa: E402
     rays_by_kernels,
     recorded,
     recorded_beam,
+    rms,
 )
 
 #: Largest difference that is allowed.
 REQUIRED = 2e-5
 #: How a sphere is met.
 KINDS = ("cap", "octants", "tetrahedral")
-
-
-def rms(points: np.ndarray) -> float:
-    """Return the root mean square distance of points ``(N, 2)`` from their centroid."""
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def by_others(record: dict, row: dict, lens: Lens) -> tuple[float, float]:

@@ -77,6 +77,11 @@ def recorded_beam(record: dict[str, Any], field: tuple[float, float]) -> tuple[A
     return beam(lens_of(record), field, pupil_grid(4), aim=False)
 
 
+def rms(points: np.ndarray) -> float:
+    """Return the root mean square distance of points ``(N, 2)`` from their centroid."""
+    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
 def phone_lens() -> Lens:
     """Three aspheres in plastic to r^16, as in telephones: the fields are 0 and 25 degrees."""
     plastic, dense = Abbe(1.5445, 55.9), Abbe(1.6398, 23.3)

@@ -30,21 +30,13 @@ _MAX_WIDTH = 1 << 15
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that go with ``--render``."""
-    from .render import MAX_SPP, define, integer
+    from .render import MAX_SPP, add_define, integer
 
     add = parser.add_argument_group("pictures").add_argument
     add("--render", metavar="SCENE", help="render a scene through the lens, at its camera's place")
     add("-o", "--output", metavar="OUT.exr", help="default: beside the scene, SCENE-FILE.exr")
     add("-m", "--mode", metavar="VARIANT", help="variant of Mitsuba (llvm_ad_rgb)")
-    add(
-        "-D",
-        "--define",
-        metavar="KEY=VALUE",
-        type=define,
-        action="append",
-        default=[],
-        help="value of a $KEY in the scene; may be given several times",
-    )
+    add_define(add)
     add("-s", "--sensor", metavar="N", type=integer(0), default=0, help="number of the camera (0)")
     add("--spp", metavar="N", type=integer(1, MAX_SPP), help="samples per pixel (the scene's)")
     add("--seed", metavar="K", type=integer(0), default=0, help="seed of the render (0)")
@@ -173,7 +165,7 @@ def _film_width(lens: Any, found: Any, aspect: float) -> tuple[float, str]:
 
     diagonal = np.hypot(1.0, aspect)
     widest = np.inf
-    farthest = max(lens.field_points(), key=lambda field: np.hypot(*field))
+    farthest = lens.farthest_field()
     if np.hypot(*farthest) > 0:
         chief = trace(lens, *beam(lens, farthest, np.zeros((1, 2))), vignetting=False)
         height = float(np.hypot(*chief.local[-1][0, :2]))

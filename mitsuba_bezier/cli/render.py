@@ -50,12 +50,24 @@ def integer(lowest: int, highest: int = MAX_INT) -> Callable[[str], int]:
     return convert
 
 
-def define(text: str) -> tuple[str, str]:
-    """Return the key and the value of a $KEY, for a flag."""
+def _define(text: str) -> tuple[str, str]:
     key, equals, value = text.partition("=")
     if not key or not equals or not is_utf8(text):
         raise argparse.ArgumentTypeError(f"expected KEY=VALUE, got {text!r}")
     return key, value
+
+
+def add_define(add: Callable[..., Any]) -> None:
+    """Add the option that gives a scene its values."""
+    add(
+        "-D",
+        "--define",
+        metavar="KEY=VALUE",
+        type=_define,
+        action="append",
+        default=[],
+        help="value of a $KEY in the scene; may be given several times",
+    )
 
 
 def _folders(text: str) -> list[str]:
@@ -106,15 +118,7 @@ def add_parser(subparsers: Any) -> None:
     add("more", metavar="MODEL", nargs="*", help="more models, for the same picture")
     add("-o", "--output", metavar="OUT.exr", help="default: beside the scene, as SCENE.exr")
     add("-m", "--mode", metavar="VARIANT", help=f"variant of Mitsuba ({DEFAULT_VARIANTS[0]})")
-    add(
-        "-D",
-        "--define",
-        metavar="KEY=VALUE",
-        type=define,
-        action="append",
-        default=[],
-        help="value of a $KEY in the scene; may be given several times",
-    )
+    add_define(add)
     add("-s", "--sensor", metavar="N", type=integer(0), default=0, help="number of the sensor (0)")
     add(
         "-a",

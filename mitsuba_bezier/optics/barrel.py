@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import PrescriptionError
 from ..geometry.revolution import disk_sectors
 from ..geometry.triangles import BezierTriangles
-from .checks import check_body, matrix
+from .checks import check_body, placement
 from .lens import Lens
 from .paraxial import first_order
 from .patches import black_paint, clear_radii, rim_patches
@@ -35,7 +35,7 @@ def camera_frame(lens: Lens, to_world: np.ndarray | None = None, scale: float = 
     >>> (camera_frame(lens) @ [0, 0, 4, 1]).tolist()  # towards the film is against the camera's z
     [0.0, 0.0, -0.004, 1.0]
     """
-    world = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    world = placement(to_world)
     if not 0 < scale < np.inf:
         raise PrescriptionError.expected("scale", "a positive number", scale)
     frame = np.diag([-scale, scale, -scale, 1.0])
@@ -85,7 +85,7 @@ def barrel_shapes(
         raise PrescriptionError.expected(
             "film_radius", "a positive number, and a film behind the lens", film_radius
         )
-    world = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    world = placement(to_world)
     check_body(lens)
     radii, media = clear_radii(lens), lens.media()
     vertices = lens.frames()[:, 2, 3]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import PrescriptionError
+from ..geometry.checks import finite_array
 
 #: How the size of the beam is given: entrance pupil diameter, image-space f-number,
 #: object-space numerical aperture, or the stop's own size.
@@ -111,7 +112,7 @@ def _surface(where: str, s: Any) -> None:
     if _finite(f"coefficients {where}", "finite numbers", s.coefficients).ndim != 1:
         raise PrescriptionError.expected(f"coefficients {where}", "numbers", s.coefficients)
     for name in ("before", "after"):
-        motion = matrix(f"{name} {where}", getattr(s, name))
+        motion = finite_array(f"{name} {where}", getattr(s, name), (4, 4), PrescriptionError)
         turn = motion[:3, :3]
         # angles of files have some six digits
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-5):
@@ -219,19 +220,17 @@ def check_wavelength(wavelength: Any) -> np.ndarray:
     return w
 
 
-def matrix(name: str, values: Any) -> np.ndarray:
-    """Return a finite matrix ``(4, 4)``, or raise an error.
+def placement(to_world: Any) -> np.ndarray:
+    """Return the matrix ``(4, 4)`` of where a lens is to stand, by default where it is.
 
     Raises
     ------
     PrescriptionError
-        If it is none.
+        If it is no finite matrix.
     """
-    out = _numbers(name, "a finite matrix (4, 4)", values)
-    if out.shape != (4, 4) or not np.isfinite(out).all():
-        got = "NaN or infinity" if out.shape == (4, 4) else f"shape {out.shape}"
-        raise PrescriptionError.expected(name, "a finite matrix (4, 4)", got)
-    return out
+    if to_world is None:
+        return np.eye(4)
+    return finite_array("to_world", to_world, (4, 4), PrescriptionError)
 
 
 def crossings(lens: Any, axis_only: bool = False) -> Iterator[str]:

@@ -53,10 +53,10 @@ def field_scan(lens: Lens, count: int = 33) -> np.ndarray:
     PrescriptionError
         If the lens has no field off its axis.
     """
-    farthest = max(lens.fields, key=lambda field: np.hypot(*field))
+    farthest = lens.farthest_field()
     if not np.hypot(*farthest) > 0:
         raise PrescriptionError.expected("fields", "one off the axis at least", list(lens.fields))
-    return np.linspace(0, 1, count)[:, None] * np.array(farthest, float)
+    return np.linspace(0, 1, count)[:, None] * np.array(farthest)
 
 
 def field_curvature(

@@ -194,6 +194,10 @@ class Lens:
         """Return the fields, each once."""
         return list(dict.fromkeys((float(x), float(y)) for x, y in self.fields))
 
+    def farthest_field(self) -> tuple[float, float]:
+        """Return the field that is farthest from the axis."""
+        return max(self.field_points(), key=lambda field: float(np.hypot(*field)))
+
     def vignetted(self, field: tuple[float, float], pupil: np.ndarray) -> np.ndarray:
         """Return points ``(N, 2)`` of the unit disk as the beam of a field fills the pupil."""
         for known, factors in zip(self.fields, self.vignetting or ()):

@@ -11,7 +11,7 @@ from ..geometry.aspheres import EvenAsphere
 from ..geometry.revolution import band, cap, disk_sectors
 from ..geometry.triangles import BezierTriangles
 from .beams import used_semi_diameters
-from .checks import check_body, matrix
+from .checks import check_body, placement
 from .coatings import coating as films
 from .glass import absorbing, spelled
 from .iris import check_blades, stop_patches
@@ -105,7 +105,7 @@ def surface_shape(
     >>> surface_shape(Surface(1 / 50, semi_diameter=10, coefficients=(0, 1e-6)))["type"]
     'asphere'
     """
-    frame = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    frame = placement(to_world)
     if surface.is_conic:
         net = surface_patches(surface, semi_diameter).transform(frame)
         return {"type": "beziertriangle", "control_points": net}
@@ -218,7 +218,7 @@ def lens_shapes(
     ['edge-1', 'surface-1', 'surface-2']
     """
     w = lens.wavelengths[lens.reference] if wavelength is None else wavelength
-    world = np.eye(4) if to_world is None else matrix("to_world", to_world)
+    world = placement(to_world)
     films(coating)  # an error, if there are no such films
     check_blades(blades, blade_rotation)
     if blades and not any(s.stop for s in lens.surfaces):

@@ -230,9 +230,5 @@ def _indices(medium: Medium) -> Any:
 
 def _mirrored(before: Any, behind: Any, cosine: Any, wave: Any, layers: Any) -> Any:
     """Return the share that is reflected; layers are on the side of the lower index."""
-    if layers is None:
-        ratio = before / behind
-        total = 1.0 - ratio * ratio * (1.0 - cosine * cosine) <= 0
-        return dr.select(total, mi.Float(1.0), 0.0)
     share = reflected(before, behind, cosine, wave, layers)
     return dr.select(before == behind, 0.0, share) if not layers else share

@@ -22,13 +22,13 @@ from rayoptics.elem.profiles import Conic
 from rayoptics.environment import FieldSpec, OpticalModel, PupilSpec, WvlSpec
 from rayoptics.raytr.raytrace import trace
 
-#: Height of the field (share of the largest) and place in the pupil.
 #: Fields at which foci are recorded, from the axis on, and frequencies of the modulation.
 FOCI, FREQUENCIES = 5, 4
 #: Fields (shares of the largest) at which spots are recorded, and rings of their rays.
 FIELDS, RINGS = (0, 0.7, 1.0), 4
 #: Wavelengths of lenses that have fewer than three.
 LINES = (0.4861, 0.5876, 0.6563)
+#: Height of the field (share of the largest) and place in the pupil.
 RAYS = [(h, *p) for h in (0, 0.7, 1.0) for p in ((0, 0), (0, 1), (0.5, -0.5), (-0.9, 0.1))]
 
 

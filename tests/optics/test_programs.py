@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from optics_cases import by_kernels, lens_at, lens_of, recorded, recorded_beam
+from optics_cases import by_kernels, lens_at, lens_of, recorded, recorded_beam, rms
 
 from mitsuba_bezier.optics import first_order, trace
 
 REPORT = recorded()
-
-
-def rms(points):
-    return np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean())
 
 
 @pytest.mark.parametrize("name", REPORT)

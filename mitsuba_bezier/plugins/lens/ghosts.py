@@ -32,11 +32,8 @@ def mirrored_share(
 
     Layers stand on the side of the lower index; cemented surfaces have none.
     """
-    if layers is None:
-        share = mi.Spectrum(0.0)
-        inside = 1 - (before / behind) ** 2 * (1 - cosine * cosine)
-        return dr.select(inside > 0, share, mi.Spectrum(1.0))
-    share = mi.Spectrum(reflected(before, behind, cosine, light.waves, ()))
+    bare = None if layers is None else ()
+    share = mi.Spectrum(reflected(before, behind, cosine, light.waves, bare))
     if layers:
         coated = mi.Spectrum(reflected(before, behind, cosine, light.waves, layers))
         share = dr.select(mi.Mask(cemented), share, coated)
@@ -44,7 +41,13 @@ def mirrored_share(
 
 
 def reflected(before: Any, behind: Any, cosine: Any, waves: Any, layers: Any) -> Any:
-    """Return the share that a surface reflects; layers stand on the side of the lower index."""
+    """Return the share that a surface reflects; layers stand on the side of the lower index.
+
+    Without any (None) it reflects what it reflects totally.
+    """
+    if layers is None:
+        inside = 1 - (before / behind) ** 2 * (1 - cosine * cosine)
+        return dr.select(inside > 0, mi.Float(0.0), mi.Float(1.0))
     low, high = dr.minimum(before, behind), dr.maximum(before, behind)
     # the cosine in the medium of the lower index; there is none where light is totally reflected
     ratio = before / low
