@@ -18,7 +18,7 @@ from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.trims import Trims, closed_region, square_map
 from mitsuba_bezier.io.trim_arrays import trims_to_numbers
 
-__all__ = ["SITUATIONS", "Situation", "parameter"]
+__all__ = ["SITUATIONS", "Situation"]
 
 #: Gives the scene its state at a number with derivatives.
 Move = Callable[[Any], None]
@@ -128,12 +128,6 @@ def _mirror() -> dict[str, Any]:
 # ---------------------------------------------------------------------- what moves
 
 
-def parameter(params: Any, start: str) -> str:
-    """Return the name of the one parameter that begins, or ends, like this."""
-    keys = [k for k in params.keys() if k.startswith(start) or k.endswith(start)]  # noqa: SIM118
-    return next(k for k in keys if k == start or len(keys) == 1 or k.startswith(start))
-
-
 def _by_net(scene: Any, scale: Any = (0.3, 0.3, 0.3, 0), key: str = "surface") -> Move:
     """Return the motion of all control points by vectors that no symmetry hides an error from."""
     params = mi.traverse(scene)
@@ -192,7 +186,8 @@ def _by_size(scene: Any) -> Move:
 
 def _by_value(scene: Any, key: str, rate: float = 1.0) -> Move:
     params = mi.traverse(scene)
-    key = parameter(params, key)
+    # below it there is a texture, or a volume
+    key = next(k for k in params.keys() if k.startswith(key))  # noqa: SIM118
     first = type(params[key])(params[key])
 
     def move(e: Any) -> None:

@@ -10,6 +10,8 @@ import mitsuba as mi
 import numpy as np
 from mitsuba_cases import tensor
 
+from mitsuba_bezier.geometry import bernstein
+
 __all__ = [
     "BENT",
     "KEY",
@@ -17,7 +19,10 @@ __all__ = [
     "central",
     "film",
     "forward",
+    "front_camera",
     "inner",
+    "lens",
+    "picture",
     "reverse",
     "set_net",
     "weights",
@@ -52,6 +57,35 @@ def film(side: int) -> dict[str, Any]:
         },
         "sampler": {"type": "multijitter"},
     }
+
+
+def front_camera(side: int) -> dict[str, Any]:
+    """Return a camera a little beside the z axis: its view has no symmetry."""
+    return {
+        "type": "perspective",
+        "fov": 40,
+        "to_world": mi.ScalarTransform4f().look_at([0.3, 0.4, 5], [0, 0, 0], [0, 1, 0]),
+        **film(side),
+    }
+
+
+def picture() -> dict[str, Any]:
+    """Return a texture that is smooth over the steps of the differences."""
+    x = np.linspace(0, 1, 32)
+    values = [np.add.outer(np.sin(7 * x + k), np.cos(9 * x - k)) / 4 + 0.5 for k in range(3)]
+    data = np.stack(values, axis=-1).astype(np.float32)
+    # spectral variants take colours for those of sRGB, not for numbers
+    return {"type": "bitmap", "bitmap": mi.Bitmap(data), "raw": not mi.is_spectral}
+
+
+def lens(bend: float) -> np.ndarray:
+    """Return two cubics, bent by about as much, wider than what a test lets pass through them."""
+    nets = []
+    for z, phase, order in ((0.5, 0.0, [0, 1]), (-0.5, 2.0, [1, 0])):
+        x, y = (3 * np.array(bernstein.multi_indices(3))[:, order] - 3.0).T
+        wave = np.sin(1.3 * (x + y) + phase) + 0.5 * np.cos(x - phase)
+        nets.append(np.c_[x, y, z + bend * wave, np.ones(len(x))])
+    return np.array(nets)
 
 
 def weights(side: int) -> np.ndarray:

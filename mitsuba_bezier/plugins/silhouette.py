@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -11,6 +12,7 @@ import numpy as np
 
 from ..errors import BezierError
 from ..geometry.contours import POINTS, Segments, contour_segments, edge_segments
+from ..geometry.trim_outlines import TrimSegments, trim_segments
 from ..kernels.arrays import upload
 from ..kernels.curvature import affine_second_partials
 from ..kernels.trim import keep
@@ -134,9 +136,9 @@ class SilhouetteCurves:
                 raise BezierError.expected(
                     f'shape "{shape.id()}"', "no asphere where silhouettes are asked for", "one"
                 )
-            edges = edge_segments(shape.patches)
-            cuts = trim_curves.add(shape, firsts[number])
-            edges.patch = edges.patch + firsts[number]
+            edges, found_cuts = data.made_once(f"borders {number}", partial(_borders, shape))
+            cuts = trim_curves.add(shape, firsts[number], found_cuts)
+            edges = replace(edges, patch=edges.patch + firsts[number])
             maps = data.instance_numbers(number)
             for copy in maps:
                 found = [edges]
@@ -292,6 +294,13 @@ class SilhouetteCurves:
         uv = self.trims.point(point.cut - 1, point.s, on_cut, self.trims.attached()).uv
         du, dv = (dr.replace_grad(mi.Float(0), dr.select(on_cut, x, 0.0)) for x in (uv.x, uv.y))
         return p + dr.detach(pu) * du + dr.detach(pv) * dv
+
+
+def _borders(shape: Any) -> tuple[Segments, TrimSegments | None]:
+    """Return the edges of a shape and the pieces of its trimming curves, from wherever seen."""
+    trims = shape.trims
+    cuts = trim_segments(shape.patches, trims) if trims is not None and trims.regions else None
+    return edge_segments(shape.patches), cuts
 
 
 def in_place(h: list[list[Any]], place: Any) -> list[list[Any]]:

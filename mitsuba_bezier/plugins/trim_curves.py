@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.trim_outlines import TrimSegments, trim_segments
+from ..geometry.trim_outlines import TrimSegments
 from ..kernels.arrays import upload
 
 __all__ = ["CurvePoint", "Cuts", "TrimCurves"]
@@ -49,13 +49,12 @@ class TrimCurves:
         self._count = self._used = self._first = 0
         self.degrees: set[int] = set()
 
-    def add(self, shape: Any, first: int) -> Cuts:
-        """Add the curves of a shape, whose patches are numbered from `first` on."""
-        trims = shape.trims
-        if trims is None or not trims.regions:
+    def add(self, shape: Any, first: int, found: TrimSegments | None) -> Cuts:
+        """Add the segments of a shape, whose patches are numbered from `first` on."""
+        if found is None:
             none = np.zeros((0, 2))
             return Cuts(np.zeros(0, dtype=int), none, none, np.zeros(0, dtype=int))
-        found: TrimSegments = trim_segments(shape.patches, trims)
+        trims = shape.trims
         points, index = shape.trim_rows
         starts = self._used + np.cumsum([0] + [len(i) for i in index])
         degree = np.array([len(i) - 1 for i in index])

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import film, inner, weights
+from derivative_cases import film, inner, picture, weights
 from mitsuba_cases import bezier, tensor
 
 from mitsuba_bezier.geometry import bernstein
@@ -34,14 +34,6 @@ def sheet(z: float, phase: float, up: bool = True) -> np.ndarray:
 
 def lens(half: float, phase: float = 0.0) -> np.ndarray:
     return np.concatenate([sheet(half, phase), sheet(-half, phase + 2, up=False)])
-
-
-def picture() -> dict[str, Any]:
-    """A texture that is smooth over the steps of the differences."""
-    x = np.linspace(0, 1, 32)
-    values = [np.add.outer(np.sin(7 * x + k), np.cos(9 * x - k)) / 4 + 0.5 for k in range(3)]
-    data = np.stack(values, axis=-1).astype(np.float32)
-    return {"type": "bitmap", "bitmap": mi.Bitmap(data), "raw": True}
 
 
 def scene_of(z: float, target: float, **shapes: Any) -> Any:

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import film, forward, inner, reverse, weights
+from derivative_cases import film, forward, inner, picture, reverse, weights
 from mitsuba_cases import bezier, sphere_net
 
 import mitsuba_bezier as mb
@@ -19,14 +19,6 @@ SIDE = 4
 @pytest.fixture(autouse=True)
 def variant() -> None:
     mi.set_variant(VARIANT)
-
-
-def picture() -> dict[str, Any]:
-    """A texture that is smooth over the steps of the differences."""
-    x = np.linspace(0, 1, 32)
-    values = [np.add.outer(np.sin(7 * x + k), np.cos(9 * x - k)) / 4 + 0.5 for k in range(3)]
-    data = np.stack(values, axis=-1).astype(np.float32)
-    return {"type": "bitmap", "bitmap": mi.Bitmap(data), "raw": not mi.is_spectral}
 
 
 def behind_a_ball(fov: float, **glass: Any) -> Any:

@@ -9,11 +9,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import forward, inner, reverse, weights
+from derivative_cases import forward, inner, lens, reverse, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
-from mitsuba_bezier.geometry import bernstein
 
 SIDE = 8
 
@@ -21,16 +20,6 @@ SIDE = 8
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
     mi.set_variant(VARIANT)
-
-
-def lens() -> np.ndarray:
-    """Return two bent cubics, wider than the beam that they turn."""
-    nets = []
-    for z, phase, order in ((0.5, 0.0, [0, 1]), (-0.5, 2.0, [1, 0])):
-        x, y = (3 * np.array(bernstein.multi_indices(3))[:, order] - 3.0).T
-        bend = 0.2 * np.sin(1.3 * (x + y) + phase) + 0.1 * np.cos(x - phase)
-        nets.append(np.c_[x, y, z + bend, np.ones(len(x))])
-    return np.array(nets)
 
 
 def caustic(rfilter: str = "gaussian") -> Any:
@@ -52,7 +41,7 @@ def caustic(rfilter: str = "gaussian") -> Any:
                     "rfilter": {"type": rfilter},
                 },
             },
-            "surface": bezier(lens(), bsdf=glass),
+            "surface": bezier(lens(0.2), bsdf=glass),
             "floor": {"type": "rectangle", "to_world": place.translate([0, 0, -3]).scale(8)},
             "lamp": {
                 "type": "spot",
@@ -83,7 +72,7 @@ def derivatives(key: str, value: Any, spp: int) -> tuple[float, float, Any]:
 
 
 def test_caustic():
-    net = lens()
+    net = lens(0.2)
     change = np.random.default_rng(3).normal(size=net.shape) * [0.3, 0.3, 0.3, 0.15]
     reverse, forward, loss = derivatives(
         "surface.control_points", lambda e: tensor(net) + e * tensor(change), 4096

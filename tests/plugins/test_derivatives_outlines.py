@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import BENT, film, inner, weights
+from derivative_cases import BENT, film, front_camera, inner, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
@@ -33,12 +33,7 @@ def in_view(surface: dict[str, Any]) -> Any:
     return mi.load_dict(
         {
             "type": "scene",
-            "camera": {
-                "type": "perspective",
-                "fov": 40,
-                "to_world": mi.ScalarTransform4f().look_at([0.3, 0.4, 5], [0, 0, 0], [0, 1, 0]),
-                **film(SIDE),
-            },
+            "camera": front_camera(SIDE),
             "surface": {**surface, "bsdf": {"type": "twosided", "one": {"type": "diffuse"}}},
             "point": {"type": "point", "position": [1, 3, 4.0], "intensity": 20.0},
             "back": {
@@ -413,7 +408,7 @@ def test_points_of_trimming_curves():
         assert np.abs(trims.parameters(found.patch, uv) - want).max() < 1e-9
     shape = mi.load_dict(bezier(patches, trims=tensor(trims_to_numbers(trims))))
     curves = TrimCurves()
-    cuts = curves.add(shape, 0)
+    cuts = curves.add(shape, 0, found)
     curves = curves.uploaded(shape._alone())
     s = rng.random(len(cuts.rows)).astype(np.float32)
     for at in (np.zeros_like(s), s, np.ones_like(s)):

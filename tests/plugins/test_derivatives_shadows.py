@@ -8,10 +8,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import film, forward, inner, reverse, weights
+from derivative_cases import film, forward, inner, lens, reverse, weights
 from mitsuba_cases import bezier, sphere_net
-
-from mitsuba_bezier.geometry import bernstein
 
 SIDE = 4
 BLACK = {"type": "twosided", "paint": {"type": "diffuse", "reflectance": 0.0}}
@@ -20,16 +18,6 @@ BLACK = {"type": "twosided", "paint": {"type": "diffuse", "reflectance": 0.0}}
 @pytest.fixture(scope="module", autouse=True)
 def variant() -> None:
     mi.set_variant(VARIANT)
-
-
-def lens() -> np.ndarray:
-    """Return two bent cubics, wider than what the camera sees of them."""
-    nets = []
-    for z, phase, order in ((0.5, 0.0, [0, 1]), (-0.5, 2.0, [1, 0])):
-        x, y = (3 * np.array(bernstein.multi_indices(3))[:, order] - 3.0).T
-        bend = 0.1 * np.sin(1.3 * (x + y) + phase) + 0.05 * np.cos(x - phase)
-        nets.append(np.c_[x, y, z + bend, np.ones(len(x))])
-    return np.array(nets)
 
 
 def pane(half: float) -> np.ndarray:
@@ -78,7 +66,7 @@ def rectangle() -> Any:
 
 def through_glass() -> Any:
     caster = bezier(sphere_net(radius=0.6), to_world=above_floor(), bsdf=BLACK)
-    glass = bezier(lens(), bsdf={"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0})
+    glass = bezier(lens(0.1), bsdf={"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0})
     return scene_of(caster, glass=glass)
 
 

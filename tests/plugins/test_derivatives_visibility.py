@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import BENT, attach, central, film, inner, weights
+from derivative_cases import BENT, attach, central, film, front_camera, inner, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
@@ -66,12 +66,7 @@ def in_view(net: np.ndarray) -> Any:
     return mi.load_dict(
         {
             "type": "scene",
-            "camera": {
-                "type": "perspective",
-                "fov": 40,
-                "to_world": mi.ScalarTransform4f().look_at([0.3, 0.4, 5], [0, 0, 0], [0, 1, 0]),
-                **film(SIDE),
-            },
+            "camera": front_camera(SIDE),
             "surface": bezier(
                 net, bsdf={"type": "twosided", "one": {"type": "diffuse", "reflectance": colour}}
             ),
