@@ -230,9 +230,12 @@ def test_exposure_and_channels_change_both_pictures(browser):
     sources = f"[...{card('moved')}.querySelectorAll('.pair img')].map(i => i.src)"
     before = browser.run(sources)
     browser.run(f"{card('moved')}.querySelector('.head').focus()")
+    # the first of two changes may be painted before the second: wait for the end of both
+    painted = f"{card('moved')}.querySelector('.adjust').ariaBusy === 'false'"
     browser.key("]")
     browser.key("]")
-    browser.wait(f"{sources}[0] !== {json.dumps(before[0])}")
+    browser.wait(painted)
+    assert browser.run(sources)[0] != before[0]
     assert browser.run(f"{card('moved')}.querySelector('.adjust output').textContent") == "+1.0 EV"
     middle = (
         "(async () => { const c = document.createElement('canvas'); const i = new Image();"
@@ -246,9 +249,10 @@ def test_exposure_and_channels_change_both_pictures(browser):
     np.testing.assert_allclose(browser.run(middle)[:3], preview.to_srgb8(2 * values), atol=1)
     browser.key("[")
     browser.key("[")
-    browser.wait(f"{sources}[0] === {json.dumps(before[0])}")
+    browser.wait(painted)
+    assert browser.run(sources)[0] == before[0]
     browser.key("c")  # red alone, as grey
-    browser.wait(f"{sources}[0] !== {json.dumps(before[0])}")
+    browser.wait(painted)
     red = browser.run(middle)
     assert red[0] == red[1] == red[2] == pytest.approx(preview.to_srgb8(values)[0], abs=1)
 
