@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+#: What a busy machine may take for a step; a test that passes takes none of it.
+SECONDS = 240
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
@@ -15,6 +19,10 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 def find() -> str | None:
     """Return the browser: ``$CHROMIUM``, or the first on the PATH, or None."""
     return os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, NAMES)), None)
+
+
+#: Awaits the pictures of a page, which are decoded beside its script.
+DECODED = "Promise.all([...document.images].map(i => i.decode().catch(() => 0)))"
 
 
 class Browser:
@@ -25,8 +33,11 @@ class Browser:
 
         self._playwright = sync_playwright().start()
         arguments = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
-        self._browser = self._playwright.chromium.launch(executable_path=program, args=arguments)
+        self._browser = self._playwright.chromium.launch(
+            executable_path=program, args=arguments, timeout=1000 * SECONDS
+        )
         self.page = self._browser.new_page(viewport={"width": 1280, "height": 900})
+        self.page.set_default_timeout(1000 * SECONDS)
         #: exceptions in the page, and addresses it asked for
         self.errors: list[str] = []
         self.requests: list[str] = []
@@ -48,23 +59,30 @@ class Browser:
     def open(self, path: Path) -> None:
         """Load a file and wait until it and its pictures are there."""
         self.page.goto(path.resolve().as_uri())
-        self.run("Promise.all([...document.images].map(i => i.decode().catch(() => 0)))")
+        self.run(DECODED)
+        self.settle()
 
     def run(self, script: str) -> Any:
         """Return the value of an expression in the page, awaited."""
         return self.page.evaluate(script)
 
-    def wait(self, script: str, seconds: float = 30) -> None:
+    def wait(self, script: str) -> None:
         """Wait until an expression is true; playwright's own way is one that pages forbid."""
-        for _ in range(int(seconds / 0.03)):
-            if self.run(script):
-                return
+        end = time.monotonic() + SECONDS
+        while not self.run(script):
+            if time.monotonic() > end:
+                raise TimeoutError(script)
             self.page.wait_for_timeout(30)
-        raise TimeoutError(script)
+
+    def settle(self) -> None:
+        """Wait until what follows from the last change is laid out: observers run in a frame."""
+        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def resize(self, width: int, height: int) -> None:
-        """Set the size of the window in CSS pixels."""
+        """Set the size of the window in CSS pixels, and wait until the page has it."""
         self.page.set_viewport_size({"width": width, "height": height})
+        self.wait(f"innerWidth === {width} && innerHeight === {height}")
+        self.settle()
 
     def scheme(self, name: Any) -> None:
         """Prefer ``"light"`` or ``"dark"``."""
@@ -87,6 +105,7 @@ class Browser:
             viewport={"width": width, "height": height}, color_scheme=scheme, bypass_csp=True
         )
         try:
+            context.set_default_timeout(1000 * SECONDS)
             yield context.new_page()
         finally:
             context.close()

@@ -90,7 +90,7 @@ def python() -> Callable[..., CompletedProcess[str]]:
             [sys.executable, "-c", code, *arguments],
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=600,
             env=environment,
         )
 

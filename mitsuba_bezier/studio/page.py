@@ -7,6 +7,9 @@ import io
 import socket
 import threading
 import time
+import traceback
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +31,8 @@ __all__ = ["Studio", "checked_port"]
 
 #: Pixels across of pictures: of the first after a change, and of those when nothing moves.
 FIRST, STILL = 512, 1024
+#: Pixels across of pictures that are saved.
+SAVED = 1600
 
 #: Field of view of browsers, in radians: narrower than viser's own, which bends a net.
 FOV = float(np.radians(40))
@@ -135,6 +140,8 @@ class Studio:
         self._shown: dict[int, tuple[Any, ...]] = {}
         self._views: dict[int, Any] = {}
         self._message = ""
+        #: does what browsers ask for, one thing after the other
+        self._asked = ThreadPoolExecutor(1)
         self.front = Front()
         #: Seconds that first pictures took, the last hundred; for whoever measures.
         self.latencies: list[float] = []
@@ -167,18 +174,35 @@ class Studio:
         self.degree = gui.add_button_group("degree", ("lower", "raise"))
         self.undo = gui.add_button("undo")
         self.files = gui.add_button_group("save", (".vtu", ".png", ".svg"))
-        self.preset.on_update(lambda e: self._guarded(self._load) if e.client else None)
-        self.mode.on_update(lambda _e: self._touch())
-        self.point.on_update(lambda e: self._guarded(self._select) if e.client else None)
-        self.weight.on_update(lambda e: self._guarded(self._weigh) if e.client else None)
+        self.preset.on_update(self._ordered(lambda name, _client: self._load(str(name))))
+        self.mode.on_update(self._ordered(lambda _mode, _client: self._touch()))
+        self.point.on_update(self._ordered(lambda row, _client: self._select(row)))
+        self.weight.on_update(self._ordered(lambda value, _client: self._weigh(value)))
         for handle in (*self.places, self.names, self.arrows):
-            handle.on_update(lambda e: self._guarded(self._redraw) if e.client else None)
-        self.degree.on_click(lambda e: self._guarded(
-            self._raise if e.target.value == "raise" else self._lower))  # fmt: skip
-        self.undo.on_click(lambda _e: self._guarded(self._undo))
-        self.files.on_click(
-            lambda e: self._guarded(lambda: self.save(str(e.target.value), e.client))
-        )
+            handle.on_update(self._ordered(lambda _value, _client: self._redraw()))
+        self.degree.on_click(self._ordered(
+            lambda way, _client: self._raise() if way == "raise" else self._lower()))  # fmt: skip
+        self.undo.on_click(self._ordered(lambda _value, _client: self._undo()))
+        self.files.on_click(self._ordered(lambda suffix, client: self.save(str(suffix), client)))
+
+    def _ordered(self, action: Callable[[Any, Any], Any]) -> Callable[[Any], Any]:
+        """Return what a control calls: ``action(value, client)``, in the order of the events.
+
+        Viser's threads may overtake each other, and a control may have another value by the time
+        that something slow before it, a file that is saved, has ended.
+        """
+
+        async def handle(event: Any) -> None:
+            value = getattr(event.target, "value", None)
+            if event.client:  # not what this program has set by itself
+                self._ask(lambda: action(value, event.client))
+
+        return handle
+
+    def _ask(self, action: Callable[[], Any]) -> None:
+        """Do something after all that was asked for before."""
+        with contextlib.suppress(RuntimeError):  # the page is closed
+            self._asked.submit(self._guarded, action).add_done_callback(_print_error)
 
     def _guarded(self, action: Any) -> None:
         """Do what a browser asks for; what cannot be done is told on the page, nothing is lost."""
@@ -195,8 +219,7 @@ class Studio:
         self._changed_at = time.monotonic()
         self._wake.set()
 
-    def _load(self) -> None:
-        name = str(self.preset.value)
+    def _load(self, name: str) -> None:
         if name in drawings():
             self.drawn, self.figure = Drawn(name), name
         else:
@@ -226,12 +249,12 @@ class Studio:
             self._message = "*nothing to undo*"
         self._rebuild()
 
-    def _select(self) -> None:
-        self.selected = int(min(self.point.value, len(self.state.net) - 1))
+    def _select(self, row: float) -> None:
+        self.selected = int(min(row, len(self.state.net) - 1))
         self._redraw()
 
-    def _weigh(self) -> None:
-        self.state.weigh(self.selected, weight_of(self.weight.value))
+    def _weigh(self, value: float) -> None:
+        self.state.weigh(self.selected, weight_of(value))
         self._redraw()
 
     # ------------------------------------------------------------------ what stands in front
@@ -256,7 +279,7 @@ class Studio:
             with self._order:
                 for a in self.drawn.arguments:
                     slider = self.server.gui.add_slider(a.name, a.low, a.high, a.step, a.start)
-                    slider.on_update(self._argument(a.name, slider))
+                    slider.on_update(self._argument(self.drawn, a.name))
                     self._arguments.append(slider)
         self.canvas.points(
             [] if drawn else list(self.state.places), self._chooser, self._dragger, self._size()
@@ -264,13 +287,12 @@ class Studio:
         self._redraw()
         self._tell()
 
-    def _argument(self, name: str, slider: Any) -> Any:
-        def move(event: Any) -> None:
-            if event.client and self.drawn is not None:
-                drawn = self.drawn
-                self._guarded(lambda: drawn.move(name, slider.value))
+    def _argument(self, drawn: Drawn, name: str) -> Any:
+        def move(value: float, _client: Any) -> None:
+            if self.drawn is drawn:  # another figure may have been picked since
+                drawn.move(name, value)
 
-        return move
+        return self._ordered(move)
 
     def _size(self) -> float:
         return float(np.ptp(self.state.places, axis=0).max() or 1.0)
@@ -304,12 +326,8 @@ class Studio:
             self.weight.value = slider
 
     def _chooser(self, row: int) -> Any:
-        def choose(_event: Any) -> None:
-            def act() -> None:
-                self.selected = row
-                self._redraw()
-
-            self._guarded(act)
+        async def choose(_event: Any) -> None:
+            self._ask(lambda: self._select(row))
 
         return choose
 
@@ -320,6 +338,8 @@ class Studio:
         async def drag(event: Any) -> None:
             def act() -> None:
                 nonlocal offset
+                if row >= len(self.state.net):
+                    return  # a smaller net was loaded since
                 if event.phase == "start":
                     self.selected = row
                     offset = self.state.places[row] - event.start_position
@@ -329,21 +349,21 @@ class Studio:
                     place = _on_wall(place, event.client.camera.position)
                 self.drag(row, place)
 
-            if row < len(self.state.net):  # another browser may have loaded a smaller net
-                self._guarded(act)
+            self._ask(act)
 
         return drag
 
-    def _pulled(self, event: Any) -> None:
+    async def _pulled(self, event: Any) -> None:
+        place = np.array(event.target.position, dtype=np.float64)
+
         def act() -> None:
             if event.phase == "start":
                 self.state.move(self.selected, self.state.places[self.selected])
-            place = np.array(event.target.position, dtype=np.float64)
             if self.look.flat:
                 place[1] = 0.0
             self.drag(self.selected, place)
 
-        self._guarded(act)
+        self._ask(act)
 
     def drag(self, row: int, place: Any) -> None:
         """Move a control point as a drag does: the picture follows, the history has one step."""
@@ -482,7 +502,7 @@ class Studio:
             client = client or next(iter(self._views.values()), None)
             if client is None:
                 raise GeometryError.expected("view", "a browser that looks at the page", "none")
-            self._save_view(path, camera_of(client.camera, 1600))
+            self._save_view(path, camera_of(client.camera, SAVED))
         self._message = f"saved {path.name}"
         return path
 
@@ -501,8 +521,15 @@ class Studio:
         self._stop.set()
         self._wake.set()
         self._worker.join(timeout=10)
+        self._asked.shutdown(cancel_futures=True)
         with contextlib.redirect_stdout(io.StringIO()):  # it prints that it has stopped
             self.server.stop()
+
+
+def _print_error(done: Future[Any]) -> None:
+    """Print what is no error of the user's; nobody else waits for it."""
+    if not done.cancelled() and (error := done.exception()) is not None:
+        traceback.print_exception(error)
 
 
 def _on_wall(place: np.ndarray, eye: Any) -> np.ndarray:

@@ -101,7 +101,7 @@ def test_as_a_program():
         [sys.executable, "-m", "mitsuba_bezier.cli.main", "render", "nowhere.xml"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
     )
     assert done.returncode == 2
     assert done.stderr == (

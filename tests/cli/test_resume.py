@@ -301,6 +301,22 @@ def test_names_as_long_as_they_may_be(folder, monkeypatch):
 # ---------------------------------------------------------------- real signals
 
 
+# the program, which counts its passes in a file, by its size
+COUNTING = """
+import sys
+from mitsuba_bezier.rendering import passes
+real = passes.render_pass
+def counted(*words):
+    done = real(*words)
+    with open("passes", "ab", 0) as file:
+        file.write(b".")
+    return done
+passes.render_pass = counted
+from mitsuba_bezier.cli.main import main
+sys.exit(main())
+"""
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.parametrize(
     ("name", "code", "word"),
@@ -308,20 +324,20 @@ def test_names_as_long_as_they_may_be(folder, monkeypatch):
 )
 def test_a_signal_keeps_what_is_there(folder, name, code, word):
     words = ["ball.xml", "--spp", "1000000", "--spp-per-pass", "64", "-o", "a.exr"]
+    # by itself it writes after the first pass only
     process = subprocess.Popen(
-        [sys.executable, "-m", "mitsuba_bezier.cli.main", "render", *words],
+        [sys.executable, "-c", COUNTING, "render", *words, "--save-every", "100000"],
         stderr=subprocess.PIPE,
         text=True,
         env=dict(os.environ, PYTHONPATH=str(Path(mb.__file__).parents[1])),
     )
     try:
-        for _ in range(600):
-            if os.path.exists("a.png"):
+        while process.poll() is None:
+            if os.path.exists("a.png") and os.path.getsize("passes") > 3:
                 break
-            time.sleep(0.1)
-        time.sleep(0.5)
+            time.sleep(0.05)
         process.send_signal(getattr(signal, name))
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=600)
     finally:
         process.kill()
     assert process.returncode == code

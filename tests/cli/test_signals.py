@@ -123,7 +123,7 @@ with _files.temporary_folder() as folder:
     lines = {process.stdout.readline(), process.stdout.readline()} - {"\n"}
     assert lines.pop() == "True\n" and len(os.listdir(temporary)) == 1
     process.send_signal(signal.SIGTERM)
-    _out, err = process.communicate(timeout=60)  # it ends when the child has, too
+    _out, err = process.communicate(timeout=300)  # it ends when the child has, too
     assert process.returncode == 143 and err.count("\n") == 1
     assert os.listdir(temporary) == []
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import random
 import socket
 import sys
 import time
+from collections.abc import Iterator
 from io import BytesIO
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from browser import SECONDS
 
 from mitsuba_bezier.cli.main import main
 from mitsuba_bezier.errors import GeometryError, RuntimeSetupError
@@ -31,10 +34,19 @@ def variant():
         mi.set_variant(before)
 
 
+def free_ports() -> Iterator[int]:
+    """Give ports that are free; none of those that the system gives to who asks for any."""
+    for port in random.sample(range(10_000, 32_000), 200):
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        yield port
+
+
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+    return next(free_ports())
 
 
 CAMERA = Camera(look_at([2.0, -3.6, 2.0], [0, 0, 0.5], [0, 0, 1]), 45, "y", (128, 96))
@@ -85,10 +97,10 @@ def test_a_browsers_camera_is_ours():
 
 
 def test_a_port_that_is_taken_is_one_clear_error():
+    port = free_port()
     with socket.socket() as holder:
-        holder.bind(("127.0.0.1", 0))
+        holder.bind(("127.0.0.1", port))
         holder.listen()
-        port = holder.getsockname()[1]
         with pytest.raises(GeometryError, match=f"an address that is free, got 127.0.0.1:{port}"):
             checked_port("127.0.0.1", port)
     assert checked_port("127.0.0.1", port) == port
@@ -117,13 +129,13 @@ def test_mistakes_take_one_line(words, says, capsys):
     assert says in err and err.count("\n") == 1
 
 
-def waited(condition, seconds: float = 60.0) -> bool:
+def waited(condition, pause: float = 0.1) -> bool:
     """Wait until something holds; machines may be busy."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + SECONDS
     while time.monotonic() < end:
         if condition():
             return True
-        time.sleep(0.1)
+        time.sleep(pause)
     return False
 
 
@@ -146,7 +158,7 @@ def browser():
         pytest.skip("no Chromium: set $CHROMIUM or install one")
     flags = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
     with api.sync_playwright() as play:
-        chromium = play.chromium.launch(executable_path=program, args=flags)
+        chromium = play.chromium.launch(executable_path=program, args=flags, timeout=1000 * SECONDS)
         yield chromium
         chromium.close()
 
@@ -154,14 +166,35 @@ def browser():
 def opened(browser, studio, width: int, height: int):
     """Return a page that shows a refined picture, without the note about WebGL."""
     page = browser.new_page(viewport={"width": width, "height": height})
-    page.goto(f"http://127.0.0.1:{studio.server.get_port()}", timeout=60000)
+    page.set_default_timeout(1000 * SECONDS)
+    page.goto(f"http://127.0.0.1:{studio.server.get_port()}")
+    # whenever it comes
+    page.add_style_tag(content=".mantine-Notification-root { display: none !important }")
     # the view is set by the server, and told back by the browser
     assert waited(lambda: studio._views and studio.refined(1))
-    note = page.locator(".mantine-Notification-closeButton")
-    if note.count():
-        note.first.click()
-    page.wait_for_timeout(500)
+    assert waited(lambda: shows(page, studio, width, height))
     return page
+
+
+def shows(page, studio, width: int, height: int) -> bool:
+    """Return whether a page shows the net as it is now: its points, and the surface behind."""
+    from mitsuba_bezier.studio.canvas import CHOSEN, POINT
+
+    (shot,) = pictures(page.screenshot())
+    near = np.mgrid[-3:4, -3:4].reshape(2, -1)
+    for row, place in enumerate(studio.state.places):
+        x, y = np.floor(seen_at(studio, place, width, height)).astype(int)[:, None] + near
+        colour = np.array(CHOSEN if row == studio.selected else POINT)
+        # of the ball, whose sides are lit; next to none of them is in reach of the controls
+        hue = shot[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+        hue = hue / np.maximum(hue.max(axis=1, keepdims=True), 1)
+        if not (np.abs(hue - colour / colour.max()).max(axis=1) < 0.25).any():
+            return False
+    # 25 places of the surface are not of the ground's colour
+    uv = 0.15 + 0.55 * np.random.default_rng(0).dirichlet([1, 1, 1], 25)[:, :2]
+    places = [seen_at(studio, x, width, height) for x in studio.state.patches.points(0, uv)]
+    x, y = np.clip(np.floor(places).astype(int).T, 0, [[width - 1], [height - 1]])
+    return bool(np.median(np.abs(shot[y, x] - shot[5, 5]).max(axis=1)) > 20)
 
 
 def seen_at(studio, place, width: int, height: int) -> np.ndarray:
@@ -208,20 +241,25 @@ def test_a_point_is_dragged_with_the_mouse(variant, tmp_path, browser, size):
                                       np.delete(places, row, 0))  # fmt: skip
         assert studio.selected == row
         assert waited(lambda: studio.refined(4))
-        page.wait_for_timeout(700)
-        old, new = pictures(before, page.screenshot())
         around = np.concatenate(
             [[seen_at(studio, x, *size) for x in p] for p in (places, studio.state.places)]
         )
         # the controls tell which point it is
         panel = page.get_by_text("figure", exact=True).bounding_box()
-        if size[0] > 600:
-            old, new = (x[:, : int(panel["x"]) - 20] for x in (old, new))
-        else:
-            old, new = (x[: int(panel["y"]) - 60] for x in (old, new))
-        # balls and names reach 60 pixels beyond the points
-        inside, outside = changed_within(old, new, around, 60)
-        assert inside > 1500 and outside == 0
+
+        def follows() -> bool:
+            """Whether the picture has changed where the surface has, and nowhere else."""
+            old, new = pictures(before, page.screenshot())
+            if size[0] > 600:
+                old, new = (x[:, : int(panel["x"]) - 20] for x in (old, new))
+            else:
+                old, new = (x[: int(panel["y"]) - 60] for x in (old, new))
+            # balls and names reach 60 pixels beyond the points
+            inside, outside = changed_within(old, new, around, 60)
+            return inside > 1500 and outside == 0
+
+        # what was sent is shown some time later
+        assert waited(follows)
         # one step back is the whole drag
         page.get_by_text("undo", exact=True).click()
         assert waited(lambda: np.array_equal(studio.state.places, places))
@@ -231,9 +269,10 @@ def test_a_point_is_dragged_with_the_mouse(variant, tmp_path, browser, size):
 
 
 @pytest.mark.browser
-def test_weights_files_and_a_second_tab(variant, tmp_path, browser):
+def test_weights_files_and_a_second_tab(variant, tmp_path, browser, monkeypatch):
     import mitsuba_bezier as mb
 
+    monkeypatch.setattr("mitsuba_bezier.studio.page.SAVED", 320)  # of 1600, soon rendered
     studio = Studio("rational_triangle", "127.0.0.1", free_port(), tmp_path)
     try:
         page = opened(browser, studio, 800, 500)
@@ -245,9 +284,8 @@ def test_weights_files_and_a_second_tab(variant, tmp_path, browser):
         at = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
         page.mouse.move(*at)
         page.mouse.down()
-        for step in range(1, 13):
-            page.mouse.move(at[0] - 3 * step, at[1])
-            page.wait_for_timeout(60)
+        for step in range(1, 7):
+            page.mouse.move(at[0] - 6 * step, at[1])
             seen.append(float(studio.state.net[row, 3]))
         page.mouse.up()
         assert waited(lambda: studio.state.net[row, 3] < -0.3)
@@ -269,9 +307,10 @@ def test_weights_files_and_a_second_tab(variant, tmp_path, browser):
         np.testing.assert_allclose(kept.control_points[0], studio.state.net, atol=1e-9)
         # a second tab sees the same
         second = browser.new_page(viewport={"width": 500, "height": 400})
-        second.goto(f"http://127.0.0.1:{studio.server.get_port()}", timeout=60000)
+        second.set_default_timeout(1000 * SECONDS)
+        second.goto(f"http://127.0.0.1:{studio.server.get_port()}")
         assert waited(lambda: len(studio._views) == 2 and studio.refined(1))
-        assert second.get_by_text("b011: weight -0.5").count() == 1
+        assert waited(lambda: second.get_by_text("b011: weight -0.5").count() == 1)
         page.get_by_text("raise", exact=True).click()
         assert waited(lambda: studio.state.degree == 3)
         assert waited(lambda: second.get_by_text("degree 3").count() == 1)
@@ -279,6 +318,7 @@ def test_weights_files_and_a_second_tab(variant, tmp_path, browser):
         place = studio.state.places[0].copy()
         at = seen_at(studio, place, 800, 500)
         page.bring_to_front()
+        assert waited(lambda: shows(page, studio, 800, 500))
         page.mouse.move(*at)
         page.mouse.down()
         page.mouse.move(*(at + np.array([20, 10])), steps=4)
@@ -288,6 +328,29 @@ def test_weights_files_and_a_second_tab(variant, tmp_path, browser):
         assert waited(lambda: studio.refined(1))  # the other sees where the drag was left
         second.get_by_text("undo", exact=True).click()
         assert waited(lambda: np.allclose(studio.state.places[0], place, atol=1e-12))
+    finally:
+        studio.stop()
+
+
+@pytest.mark.browser
+def test_what_is_asked_for_while_it_is_busy_is_done_in_order(variant, tmp_path, browser):
+    studio = Studio("rational_triangle", "127.0.0.1", free_port(), tmp_path)
+    try:
+        page = opened(browser, studio, 800, 500)
+        point, weight = (page.locator(".mantine-Slider-thumb").nth(k) for k in (0, 1))
+        first, net = studio.selected, studio.state.net.copy()
+        with studio._lock:  # as while a file is saved
+            for thumb, key, handle, value in (
+                (weight, "ArrowLeft", studio.weight, net[first, 3] - 0.01),
+                (point, "ArrowRight", studio.point, first + 1),
+                (weight, "ArrowLeft", studio.weight, net[first, 3] - 0.02),
+            ):
+                thumb.press(key)
+                assert waited(lambda: abs(handle.value - value) < 1e-9)  # noqa: B023
+        assert waited(lambda: studio.selected == first + 1)
+        net[first, 3] -= 0.01
+        net[first + 1, 3] = net[first, 3] - 0.01
+        assert waited(lambda: np.allclose(studio.state.net[:, 3], net[:, 3], atol=1e-9))
     finally:
         studio.stop()
 

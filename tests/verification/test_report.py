@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -283,14 +282,12 @@ def test_the_slider_moves_with_mouse_and_keys(browser):
 def test_blink_shows_one_after_the_other(browser):
     click(browser, f'{SPOT} button[data-name="Blink"]')
     state = f"document.querySelector('{SPOT} img[alt=test]').style.visibility"
-    seen = set()
-    end = time.monotonic() + 10
-    while len(seen) < 2 and time.monotonic() < end:
-        seen.add(browser.run(state))
-    assert seen == {"", "hidden"}
+    for shown in ("hidden", "", "hidden"):
+        browser.wait(f"{state} === '{shown}'")
     browser.key(" ")  # by hand: no more change by itself
     before = browser.run(state)
-    time.sleep(0.8)
+    # two of its intervals, by the clock that they run by
+    browser.run("new Promise(done => setTimeout(done, 1300))")
     assert browser.run(state) == before
     browser.key(" ")
     assert browser.run(state) != before
@@ -338,6 +335,29 @@ def test_maps_and_layers_change_picture_and_scale(browser):
 
 
 @pytest.mark.browser
+def test_a_selection_of_a_layer_that_was_left_is_not_told(browser):
+    # the numbers of the first layer come when the second is shown
+    browser.run(
+        "(() => { const real = unpack, gate = new Promise(done => window.release = done);"
+        "unpack = async panel => { await gate; const v = await real(panel);"
+        "window.unpacked = true; return v } })()"
+    )
+    layers = CARD.format("layers")
+    x, y = center(browser, '[data-name="layers"] .stage')
+    browser.run(f"{layers}.querySelector('.select').click()")
+    browser.page.mouse.move(x, y)
+    browser.page.mouse.down()
+    browser.page.mouse.move(x + 30, y + 20)
+    browser.page.mouse.up()
+    assert browser.run(f"{layers}.querySelectorAll('.box').length") > 0
+    browser.run(f"{layers}.querySelector('.layers [data-name=colour]').click()")
+    browser.run("release()")
+    browser.wait("window.unpacked")
+    browser.settle()
+    assert "Selection" not in browser.run(f"{layers}.querySelector('.side-by').textContent")
+
+
+@pytest.mark.browser
 def test_filters_by_state_and_text(browser):
     click(browser, '.chip[data-state="pass"]')
     assert browser.run(SHOWN) == ["layers", "spot", "broken"]
@@ -381,13 +401,12 @@ def test_keys_lead_through_the_page(browser):
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [360, 800, 1280, 1900])
 def test_it_fits_every_width(browser, width):
-    browser.resize(width, 800)
+    browser.resize(width, 800)  # and what is laid out by that
     assert browser.run("document.documentElement.scrollWidth") <= width
     # the picture is within its frame
     wide = (
         f"(s => [s.clientWidth, s.parentNode.clientWidth])(document.querySelector('{SPOT} .stage'))"
     )
-    browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     stage, frame = browser.run(wide)
     assert 0 < stage <= frame
 
