@@ -53,7 +53,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=0.01, help="share of the rays (0.01)")
     parser.add_argument("--seed", type=int, default=1, help="of the random generator (1)")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    parser.add_argument(
+        "--float64",
+        choices=("auto", "always", "never"),
+        default="auto",
+        help="whether kernels use it, or pairs of float32 (auto)",
+    )
     options = parser.parse_args(arguments)
+    mitsuba_bezier.set_float64(options.float64)
     unknown = [name for name in options.rows if name not in ROWS]
     if unknown:
         parser.error(f"rows: expected some of {', '.join(ROWS)}, got {', '.join(unknown)}")

@@ -95,6 +95,7 @@ __all__ = [
     "fit",
     "fit_quadric",
     "fit_quadrics",
+    "float64",
     "half_plane",
     "hyperbolic_paraboloid",
     "hyperboloid_one_sheet",
@@ -116,6 +117,7 @@ __all__ = [
     "ruled_cover",
     "save",
     "scene",
+    "set_float64",
     "shape",
     "show",
     "sphere",
@@ -154,7 +156,9 @@ _WHEN_ASKED = {
     "StereographicProjection": "geometry.stereographic",
     "conic_elements": "geometry.conic_elements",
     "denoise": "rendering.denoise",
+    "float64": "kernels.float64_use",
     "patchwork": "geometry.four_sided",
+    "set_float64": "kernels.float64_use",
 }
 
 #: Names that need Mitsuba, and where they are.

@@ -35,6 +35,7 @@ class Bucket:
     first: Any  #: UInt, number of its first net, opaque; None: 0
     records: Any  #: what there is for each net
     by_rows: Rows | None = None  #: the nets, if `records` do not have them
+    is_wide: bool = False  #: in wide numbers, see `Types`
 
     @property
     def bytes(self) -> int:

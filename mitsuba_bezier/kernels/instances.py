@@ -15,6 +15,7 @@ from .query import Found, Hit, Nearest, Query, Rays
 from .records import Record, bits
 from .structure import Structure
 from .traverse import finish, search
+from .two_float import fma
 from .walk import BvhRays, begin, begin_at_root, next_leaf, prepare
 
 __all__ = ["Instances", "build_instances", "intersect_instances"]
@@ -82,8 +83,8 @@ def intersect_instances(
 ) -> tuple[Hit, Any]:
     """Intersect rays with all instances; see `traverse.intersect`.
 
-    A ray is taken to an object's space from its point in front of the instance, which is found in
-    float64: so an instance far from the origin, or from the camera, is as exact as one that is not.
+    A ray is taken to an object's space from its point in front of the instance, which is a wide
+    number: so an instance far from the origin, or from the camera, is as exact as one that is not.
 
     Returns
     -------
@@ -91,8 +92,7 @@ def intersect_instances(
     instance : UInt
     """
     s = c.structure
-    ty = types_of(o[0])
-    f64 = ty.Float64
+    ty = types_of(o[0], s.pairs)
     query, rays = Query(s, ty, any_hit), Rays.of(ty, o, d, t_max)
     o, d = rays.o, rays.d
     active = ty.Bool(active) & rays.are_valid()
@@ -105,10 +105,10 @@ def intersect_instances(
         walk, index = next_leaf(bvh, walk, nearest.t, run)
         found = run & (index != NO_LEAF)
         m = INSTANCE.gather(c.records, index, found)
-        away = [f64(m.centre[i]) - f64(o[i]) for i in range(3)]
-        ahead = ty.Float(dot3(away, [f64(x) for x in d])) * inv_length2
+        away = [ty.widen(m.centre[i]) - ty.widen(o[i]) for i in range(3)]
+        ahead = ty.narrow(dot3(away, [ty.widen(x) for x in d])) * inv_length2
         start = dr.maximum(ahead - m.radius * inv_length, 0.0)
-        p = [ty.Float(dr.fma(f64(start), f64(d[i]), -away[i])) for i in range(3)]
+        p = [ty.narrow(fma(ty.widen(start), ty.widen(d[i]), -away[i])) for i in range(3)]
         local_o = [dot3(row, p) + middle for row, middle in zip(m.rows, m.middle)]
         local = Rays(local_o, [dot3(row, d) for row in m.rows], nearest.t - start)
         inside = BvhRays(s.nodes, ty, m.first, prepare(ty, local.o, local.d))
@@ -116,7 +116,7 @@ def intersect_instances(
         root = begin_at_root(ty, s.nodes, m.single != 0, found)
         there = search(query, inside, local, root, found)
         accept = found & (there.leaf != NO_LEAF)
-        t = ty.Float(f64(start) + f64(there.t))
+        t = ty.narrow(ty.widen(start) + ty.widen(there.t))
         nearest = nearest.updated(Found(accept, t, there.u, there.v, there.leaf))
         instance = dr.select(accept, index, instance)
         run = run & walk.goes_on()

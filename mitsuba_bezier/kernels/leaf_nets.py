@@ -10,10 +10,11 @@ import numpy as np
 
 from ..geometry import bernstein
 from ..leaves.records import BENDING_LIMIT, GraphLeaves
-from .arrays import Types, upload
+from .arrays import Types, upload, upload_wide
 from .buckets import Bucket, Choice, Rows
 from .net import graph_point, horner, rolled_horner
 from .records import Record
+from .two_float import TwoFloat, coarse
 
 __all__ = ["LeafNet", "build_buckets", "gather_net", "pack_bending"]
 
@@ -37,10 +38,15 @@ def build_buckets(
     Parameters
     ----------
     number : type
-        ``np.float32`` or ``np.float64``: what nets are stored in.
+        ``np.float32``, or ``np.float64`` for wide numbers: what nets are stored in.
     """
     out, first = [], 0
-    floats = ty.Float64 if number is np.float64 else ty.Float32
+
+    def to_device(values: np.ndarray, packet: int) -> Any:
+        if number is np.float64:
+            return upload_wide(ty, values, packet)
+        return upload(ty.Float32, values)
+
     for choice in choices:
         those = leaves.select(np.arange(first, first + len(choice.numbers)))
         fields: dict[str, Any] = {
@@ -53,7 +59,7 @@ def build_buckets(
         if choice.degree is None:
             nets = those.nets
             rows = Rows(
-                rows=upload(floats, nets.rows.astype(number)),
+                rows=to_device(nets.rows.astype(number), 4),
                 first=upload(ty.UInt, nets.first.astype(np.uint32)),
                 degree=upload(ty.UInt, nets.degree.astype(np.uint32)),
             )
@@ -68,8 +74,9 @@ def build_buckets(
                 degree=choice.degree,
                 components=choice.components,
                 first=dr.opaque(ty.UInt, first) if first else None,
-                records=upload(floats, values),
+                records=to_device(values, 8),
                 by_rows=rows,
+                is_wide=number is np.float64,
             )
         )
         first += len(choice.numbers)
@@ -80,7 +87,8 @@ class LeafNet:
     """What a march knows of a leaf's net."""
 
     def __init__(self, record: Any) -> None:
-        self.variation, self.bending, self.start = record.variation, record.bending, record.start
+        self.variation, self.bending = coarse(record.variation), coarse(record.bending)
+        self.start = [[coarse(x) for x in row] for row in record.start]
 
     def point(self, u: Any, v: Any, active: Any) -> tuple[tuple[Any, ...], ...]:
         """Return the point in the chart and its partials; see `net.graph_point`."""
@@ -95,10 +103,9 @@ class _Whole(LeafNet):
         self.net, self.degree = record.net, degree
 
     def point(self, u: Any, v: Any, active: Any) -> tuple[tuple[Any, ...], ...]:
-        number = type(u)
         net = self.net
-        if number is dr.float64_array_t(number):
-            net = [number(x) for x in net]
+        if not isinstance(u, TwoFloat):
+            net = [type(u)(coarse(x)) for x in net]
         p, pu, pv = horner(net, self.degree, u, v)
         return graph_point(p, pu, pv, u, v)
 
@@ -109,24 +116,25 @@ class _ByRows(LeafNet):
     def __init__(self, record: Any, nets: Rows, number: Any, active: Any) -> None:
         super().__init__(record)
         self.rows = nets.rows
+        self.pairs = isinstance(record.variation, TwoFloat)
         self.first, self.degree = (
             dr.gather(type(x), x, number, active) for x in (nets.first, nets.degree)
         )
 
     def point(self, u: Any, v: Any, active: Any) -> tuple[tuple[Any, ...], ...]:
-        p, pu, pv = rolled_horner(self.rows, self.first, self.degree, u, v, active)
+        p, pu, pv = rolled_horner(self.rows, self.first, self.degree, u, v, active, self.pairs)
         return graph_point(p, pu, pv, u, v)
 
 
-def gather_net(bucket: Bucket, number: Any, active: Any) -> LeafNet:
+def gather_net(bucket: Bucket, index: Any, active: Any) -> LeafNet:
     """Gather nets by their numbers in a bucket, or where they are."""
-    wide = dr.type_v(bucket.records) == dr.VarType.Float64
-    layout = net_record(np.float64 if wide else np.float32, bucket.degree, bucket.components)
-    record = layout.gather(bucket.records, number, active)
+    number = np.float64 if bucket.is_wide else np.float32
+    layout = net_record(number, bucket.degree, bucket.components)
+    record = layout.gather(bucket.records, index, active)
     if bucket.degree is not None:
         return _Whole(record, bucket.degree)
     assert bucket.by_rows is not None
-    return _ByRows(record, bucket.by_rows, number, active)
+    return _ByRows(record, bucket.by_rows, index, active)
 
 
 def pack_bending(bending: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
-from .arrays import four_zeros, gather_row, reciprocal, types_of
+from .arrays import four_zeros, gather_row, gather_row_wide, reciprocal
+from .two_float import TwoFloat, coarse, fma
 
 __all__ = ["graph_point", "horner", "horner_value", "rolled_horner"]
 
@@ -23,7 +24,7 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
     n : int
         Degree.
     u, v : Float
-        Parameters.
+        Parameters. If they are `TwoFloat`, so is the value; partials are coarse.
 
     Returns
     -------
@@ -39,14 +40,14 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
             r = coefficients[bernstein.row(n, i, n - i) * width + c]
             rv = None
             for j in range(n - i - 1, -1, -1):
-                rv = r if rv is None else dr.fma(rv, v, r)
-                r = dr.fma(r, v, coefficients[bernstein.row(n, i, j) * width + c])
+                rv = coarse(r) if rv is None else dr.fma(rv, coarse(v), coarse(r))
+                r = fma(r, v, coefficients[bernstein.row(n, i, j) * width + c])
             if s is None:
                 s = r
                 continue
-            su = s if su is None else dr.fma(su, u, s)
-            s = dr.fma(s, u, r)
-            sv = rv if sv is None else dr.fma(sv, u, rv)
+            su = coarse(s) if su is None else dr.fma(su, coarse(u), coarse(s))
+            s = fma(s, u, r)
+            sv = rv if sv is None else dr.fma(sv, coarse(u), rv)
         value.append(s)
         d_du.append(su)
         d_dv.append(sv)
@@ -54,7 +55,7 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
 
 
 def rolled_horner(
-    rows: Any, first: Any, degree: Any, u: Any, v: Any, active: Any
+    rows: Any, first: Any, degree: Any, u: Any, v: Any, active: Any, pairs: bool = False
 ) -> tuple[list[Any], ...]:
     """Do what `horner` does with nets in memory, of four components, and each of its own degree.
 
@@ -69,37 +70,45 @@ def rolled_horner(
     first, degree : UInt
         Number of the first row of a net, and its degree.
     u, v : Float
-        Their type is that of all arithmetic.
+        Their type is that of all arithmetic; see `horner`.
     active : Bool
         Which are wanted.
+    pairs : bool
+        Whether rows are pairs of float32, as `upload_wide` has them.
 
     Returns
     -------
     value, d_du, d_dv : lists of four arrays
     """
-    number, uint = type(u), types_of(u).UInt
+    uint = dr.uint32_array_t(first)
+    gather = gather_row_wide if pairs else gather_row
+
+    def converted(x: Any) -> Any:
+        if isinstance(u, TwoFloat):
+            return TwoFloat.of(x)
+        return type(u)(coarse(x))
 
     def level(at: Any, row: Any, s: Any, su: Any, sv: Any) -> Any:
         def step(left: Any, row: Any, r: Any, rv: Any) -> Any:
-            c = gather_row(rows, row, active)
-            rv = [dr.fma(a, v, b) for a, b in zip(rv, r)]
-            r = [dr.fma(a, v, number(b)) for a, b in zip(r, c)]
+            c = gather(rows, row, active)
+            rv = [dr.fma(a, coarse(v), coarse(b)) for a, b in zip(rv, r)]
+            r = [fma(a, v, converted(b)) for a, b in zip(r, c)]
             return left - 1, row + 1, r, rv
 
         _left, row, r, rv = dr.while_loop(
-            (at + 1, row, four_zeros(number), four_zeros(number)),
+            (at + 1, row, four_zeros(u), four_zeros(coarse(u))),
             cond=lambda left, *_: active & (left != 0),
             body=step,
             labels=("left", "row", "r", "rv"),
             label="bezier row",
         )
-        su = [dr.fma(a, u, b) for a, b in zip(su, s)]
-        s = [dr.fma(a, u, b) for a, b in zip(s, r)]
-        sv = [dr.fma(a, u, b) for a, b in zip(sv, rv)]
+        su = [dr.fma(a, coarse(u), coarse(b)) for a, b in zip(su, s)]
+        s = [fma(a, u, b) for a, b in zip(s, r)]
+        sv = [dr.fma(a, coarse(u), b) for a, b in zip(sv, rv)]
         return at + 1, row, s, su, sv
 
     _at, _row, s, su, sv = dr.while_loop(
-        (uint(0), first, four_zeros(number), four_zeros(number), four_zeros(number)),
+        (uint(0), first, four_zeros(u), four_zeros(coarse(u)), four_zeros(coarse(u))),
         cond=lambda at, *_: active & (at <= degree),
         body=level,
         labels=("level", "row", "s", "su", "sv"),
@@ -130,9 +139,10 @@ def graph_point(
     if len(p) == 4:
         inv = reciprocal(1.0 + p[3])
         x, y, z = x * inv, y * inv, z * inv
-        xu, xv = (xu - x * pu[3]) * inv, (xv - x * pv[3]) * inv
-        yu, yv = (yu - y * pu[3]) * inv, (yv - y * pv[3]) * inv
-        zu, zv = (zu - z * pu[3]) * inv, (zv - z * pv[3]) * inv
+        cx, cy, cz, inv = coarse(x), coarse(y), coarse(z), coarse(inv)
+        xu, xv = (xu - cx * pu[3]) * inv, (xv - cx * pv[3]) * inv
+        yu, yv = (yu - cy * pu[3]) * inv, (yv - cy * pv[3]) * inv
+        zu, zv = (zu - cz * pu[3]) * inv, (zv - cz * pv[3]) * inv
     return (x, y, z), (xu, yu, zu), (xv, yv, zv)
 
 

@@ -53,7 +53,7 @@ def meet_leaf(
     Hit
         As `intersect` does, of this leaf alone: patch and parameters are those of the patch.
     """
-    ty = types_of(o[0])
+    ty = types_of(o[0], s.pairs)
     query, rays = Query(s, ty, any_hit), Rays.of(ty, o, d, t_max)
     leaf = ty.UInt(leaf)
     active = ty.Bool(active) & rays.are_valid() & (leaf < leaf_count(s))

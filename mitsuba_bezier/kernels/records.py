@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..leaves.records import LeafKind
-from .arrays import gather_packets
+from .arrays import gather_packets, gather_wide
 
 __all__ = ["Record", "bits", "is_kind"]
 
@@ -93,10 +93,11 @@ class Record:
         `through` is the last field that is wanted, if not all are.
         """
         count = self._end[through or next(reversed(self.fields))]
+        gather_numbers = gather_wide if self.number is np.float64 else gather_packets
         wanted, packets = -(-count // 8), self.size // 8
         if wanted == packets:
-            return self.read(gather_packets(buffer, index, count, active))
+            return self.read(gather_numbers(buffer, index, count, active))
         values = []
         for p in range(wanted):
-            values += gather_packets(buffer, index * packets + p, 8, active)
+            values += gather_numbers(buffer, index * packets + p, 8, active)
         return self.read(values[:count])

@@ -23,6 +23,7 @@ from .arrays import dot3, gather_packets, reciprocal
 from .graph.chart import root_fraction
 from .query import Found, Query, Rays
 from .revolution_records import revolution_record, sag_and_slopes
+from .two_float import absolute, coarse, fma, full, select, sqrt
 
 __all__ = ["revolution_hit"]
 
@@ -40,8 +41,8 @@ _FAR = 0.05
 _RIM = 1e-6
 #: A march that has not ended after this many steps is given up as a miss. Most take three to ten.
 _MAX_STEPS = 8192
-#: Steps in float64; two are enough but where two roots nearly meet. Between two sides, half of the
-#: steps are bisections.
+#: Steps in wide numbers; two are enough but where two roots nearly meet. Between two sides, half of
+#: the steps are bisections.
 _EXACT_STEPS, _BETWEEN_STEPS = 6, 80
 #: The step from a place where there was no root after all.
 _ON = 1e-4
@@ -66,7 +67,7 @@ class _Place:
 
 @dataclass
 class _Exact:
-    """A root in float64."""
+    """A root in wide numbers."""
 
     step: Any  #: UInt
     tau: Any
@@ -87,26 +88,26 @@ class _March:
     def __init__(self, query: Query, number: Any, rays: Rays, active: Any) -> None:
         assert query.s.revolutions is not None
         self.ty, self.leaves, self.number = query.ty, query.s.revolutions, number
-        ty, f64 = self.ty, self.ty.Float64
+        ty = self.ty
         self.record = revolution_record(self.leaves.coefficients)
         m = self.record.gather(self.leaves.records, number, active, "steps")
-        o = [f64(rays.o[i]) - m.shift[i] for i in range(3)]
-        d = [f64(x) for x in rays.d]
+        o = [ty.widen(rays.o[i]) - m.shift[i] for i in range(3)]
+        d = [ty.widen(x) for x in rays.d]
         x, e = ([dot3(row, y) for row in m.axes] for y in (o, d))
-        self.scale = 1.0 / dr.sqrt(dot3(e, e))
+        self.scale = 1.0 / sqrt(dot3(e, e))
         e = [y * self.scale for y in e]
         # from the point of the ray that is nearest to the middle of the leaf
         self.tau0 = -dot3([x[0], x[1], x[2] - 0.5 * (m.low + m.high)], e)
-        x = [dr.fma(self.tau0, e[i], x[i]) for i in range(3)]
+        x = [fma(self.tau0, e[i], x[i]) for i in range(3)]
         self.exact = x, e
-        self.x0, self.e = [ty.Float(y) for y in x], [ty.Float(y) for y in e]
+        self.x0, self.e = [ty.narrow(y) for y in x], [ty.narrow(y) for y in e]
         self.a = dr.fma(self.e[0], self.e[0], self.e[1] * self.e[1])
         self.inner2 = m.inner2
-        self.grading = ty.Float(m.grading)
+        self.grading = ty.narrow(m.grading)
         self.spread = reciprocal(self.grading)
-        self.shift = 23 - ty.UInt(m.steps)
-        self.cells = ty.UInt(dr.int32_array_t(ty.UInt)(m.cells))
-        self._bound(ty.Float(m.low), ty.Float(m.high), rays.t_max)
+        self.shift = 23 - ty.whole(m.steps)
+        self.cells = ty.whole(m.cells)
+        self._bound(ty.narrow(m.low), ty.narrow(m.high), rays.t_max)
 
     def _bound(self, low: Any, high: Any, t_max: Any) -> None:
         """Find the piece of the ray within the leaf's cylinder."""
@@ -125,9 +126,9 @@ class _March:
         one, other = (low - pad - z) * rising, (high + pad - z) * rising
         begin = dr.maximum(begin, dr.minimum(one, other))
         end = dr.minimum(end, dr.maximum(one, other))
-        first, last = -self.tau0, ty.Float64(t_max) / self.scale - self.tau0
-        self.begin = dr.maximum(begin, ty.Float(first) - _BEFORE)
-        self.end = dr.minimum(end, ty.Float(last) + _BEFORE)
+        first, last = -self.tau0, ty.widen_end(t_max) / self.scale - self.tau0
+        self.begin = dr.maximum(begin, ty.narrow(first) - _BEFORE)
+        self.end = dr.minimum(end, ty.narrow(last) + _BEFORE)
         self.meets = (disc >= 0.0) & (self.begin <= self.end)
 
     def run(self, t_max: Any, active: Any) -> Found:
@@ -149,7 +150,7 @@ class _March:
             found, hit = self._accept(root & exact.real, exact, found)
             # on the other side, if there was one; where it only had to find its side, as before
             asked = root & (place.sign == 0.0)
-            ahead = ty.Float(exact.tau) - place.tau
+            ahead = ty.narrow(exact.tau) - place.tau
             ahead = dr.select(exact.real, ahead + _PUSH, dr.clip(ahead, _ON, _BEFORE))
             ahead = dr.select(place.between | asked, 0.0, ahead)
             sign = dr.select(root & exact.real, -place.sign, place.sign)
@@ -218,7 +219,7 @@ class _March:
         # direction in common, roots are below rounding: so the ray may be on the other side now
         wrong = place.fresh & (place.sign * value < -8.0 * noise)
         between = wrong & (place.known > _NOWHERE)
-        # where the march begins close to the surface, float64 tells the side
+        # where the march begins close to the surface, wide numbers tell the side
         unknown = (place.sign == 0.0) & (dr.abs(value) <= 8.0 * noise)
         unsure = ((place.sign == 0.0) & ~unknown) | (wrong & ~between)
         sign = dr.select(unsure, dr.copysign(ty.Float(1), value), place.sign)
@@ -231,7 +232,7 @@ class _March:
         root = (~fresh | (falling < 0.0)) & (height <= 2.0 * noise)
         root = root | between | unknown
         known = dr.select(height > 4.0 * noise, tau, place.known)
-        # less what rounding may add to the height: float64 decides whether a ray grazes or misses
+        # less what rounding may add to the height: they decide whether a ray grazes or misses
         num, den, exists = root_fraction(dr.maximum(height - noise, 0.0), falling, half)
         step = dr.select(exists, num / den, dr.inf)
         step = dr.maximum(dr.minimum(step, stay + _PUSH), _PUSH)
@@ -242,19 +243,21 @@ class _March:
 
     def _exactly(self, place: _Place, root: Any) -> _Exact:
         """Make a root exact: that at which the ray leaves its side of the surface."""
-        ty, f64 = self.ty, self.ty.Float64
+        ty = self.ty
         (x0, y0, z0), (ex, ey, ez) = self.exact
-        a = dr.fma(ex, ex, ey * ey)
-        side = f64(place.sign)
+        cx, cy, cz = (coarse(x) for x in (ex, ey, ez))
+        a = dr.fma(cx, cx, cy * cy)
+        side = type(a)(place.sign)
 
         def body(go: Any, found: Any) -> Any:
             m = self.record.gather(self.leaves.records, self.number, go)
             tau = found.tau
-            x, y, z = dr.fma(tau, ex, x0), dr.fma(tau, ey, y0), dr.fma(tau, ez, z0)
-            s = dr.fma(x, x, y * y)
-            ds = 2.0 * dr.fma(x, ex, y * ey)
+            x, y, z = fma(tau, ex, x0), fma(tau, ey, y0), fma(tau, ez, z0)
+            s = fma(x, x, y * y)
+            ds = 2.0 * dr.fma(coarse(x), cx, coarse(y) * cy)
             f, f1, f2 = sag_and_slopes(m.curvature, m.bend, m.coefficients, s)
-            value, slope = z - f, dr.fma(-f1, ds, ez)
+            # only the height is a difference of wide numbers
+            value, slope = coarse(z - f), dr.fma(-f1, ds, cz)
             second = -dr.fma(f2, ds * ds, 2.0 * a * f1)
             # the root of the quadratic there at which it goes to the other side
             disc = dr.fma(slope, slope, -2.0 * second * value)
@@ -265,19 +268,27 @@ class _March:
             move = dr.clip(num / dr.select(den == 0.0, 1.0, den), -_FAR, _FAR)
             real = (disc >= 0.0) & (dr.abs(move) <= 1e-6) & (side != 0.0)
             here = dr.select(found.step == 0, dr.copysign(ty.Float(1), ty.Float(value)), found.side)
-            low = dr.select(side * value > 0.0, tau, found.low)
-            high = dr.select(side * value > 0.0, found.high, tau)
-            bisect = ((found.step & 1) == 1) | (tau + move <= low) | (tau + move >= high)
+            low = select(side * value > 0.0, tau, found.low)
+            high = select(side * value > 0.0, found.high, tau)
+            after = tau + move
+            bisect = ((found.step & 1) == 1) | (after <= low) | (after >= high)
             bisect = place.between & (bisect | (disc < 0.0))
-            then = dr.select(bisect, 0.5 * (low + high), tau + move)
+            then = select(bisect, 0.5 * (low + high), after)
             step = found.step + 1
             most = dr.select(place.between, ty.UInt(_BETWEEN_STEPS), _EXACT_STEPS)
-            go = go & (dr.abs(then - tau) > 1e-9) & (step < most) & (side != 0.0)
+            go = go & (absolute(then - tau) > 1e-9) & (step < most) & (side != 0.0)
             return go, _Exact(step, then, low, high, real | place.between, here)
 
-        tau = f64(place.tau)
-        low = dr.select(place.between, f64(place.known), tau)
-        begins = _Exact(ty.UInt(0), 0.5 * (low + tau), low, tau, ty.Bool(False), dr.zeros(ty.Float))
+        tau = ty.widen(place.tau)
+        low = select(place.between, ty.widen(place.known), tau)
+        begins = _Exact(
+            ty.UInt(0),
+            full(0.5 * (low + tau)),
+            full(low),
+            full(tau),
+            ty.Bool(False),
+            dr.zeros(ty.Float),
+        )
         return dr.while_loop(
             (root, begins),
             cond=lambda *st: st[0],
@@ -290,15 +301,15 @@ class _March:
         """Return the hit if a root is one, within the rims and the ray, and whether it is."""
         ty = self.ty
         (x0, y0, _z0), (ex, ey, _ez) = self.exact
-        x, y = dr.fma(exact.tau, ex, x0), dr.fma(exact.tau, ey, y0)
-        s = dr.fma(x, x, y * y)
+        x, y = fma(exact.tau, ex, x0), fma(exact.tau, ey, y0)
+        s = fma(x, x, y * y)
         inside = (s <= (1.0 + _RIM) ** 2) & (s >= self.inner2 * (1.0 - _RIM) ** 2)
-        t = ty.Float((self.tau0 + exact.tau) * self.scale)
+        t = ty.narrow((self.tau0 + exact.tau) * self.scale)
         hit = real & inside & (t > 0.0) & (t < found.t)
         return Found(
             found.hit | hit,
             dr.select(hit, t, found.t),
-            dr.select(hit, ty.Float((x + START) * (1.0 / LEG)), found.u),
-            dr.select(hit, ty.Float((y + START) * (1.0 / LEG)), found.v),
+            dr.select(hit, ty.narrow((x + START) * (1.0 / LEG)), found.u),
+            dr.select(hit, ty.narrow((y + START) * (1.0 / LEG)), found.v),
             found.leaf,
         ), hit

@@ -10,8 +10,9 @@ import drjit as dr
 import numpy as np
 
 from ..leaves.records import RevolutionLeaves
-from .arrays import Types, upload
+from .arrays import Types, upload, upload_wide
 from .records import Record
+from .two_float import coarse, fma, maximum, sqrt
 
 __all__ = ["Revolutions", "revolution_record", "sag_and_slopes", "upload_revolutions"]
 
@@ -45,18 +46,20 @@ def sag_and_slopes(
 ) -> tuple[Any, Any, Any]:
     """Return the sag of an asphere and its first and second derivatives by ``s = r^2``.
 
-    As `EvenAsphere.derivatives`; beyond the conic's end some number that is finite.
+    As `EvenAsphere.derivatives`; beyond the conic's end some number that is finite. If numbers are
+    `TwoFloat` the sag is one as well, derivatives are coarse.
     """
-    f = f1 = half = 0.0 * s
+    f, near = 0.0 * s, coarse(s)
+    f1 = half = 0.0 * near
     for c in (*reversed(coefficients), 0.0):
-        half = dr.fma(half, s, f1)
-        f1 = dr.fma(f1, s, f)
-        f = dr.fma(f, s, c)
-    grade = dr.maximum(dr.fma(-bend, s, 1.0), 1e-6)
-    root = dr.sqrt(grade)
-    share = 0.5 * curvature / root
+        half = dr.fma(half, near, f1)
+        f1 = dr.fma(f1, near, coarse(f))
+        f = fma(f, s, c)
+    grade = maximum(fma(-bend, s, 1.0), 1e-6)
+    root = sqrt(grade)
+    share = 0.5 * coarse(curvature) / coarse(root)
     f = f + curvature * s / (1.0 + root)
-    return f, f1 + share, 2.0 * half + 0.5 * share * bend / grade
+    return f, f1 + share, 2.0 * half + 0.5 * share * coarse(bend) / coarse(grade)
 
 
 @dataclass
@@ -66,7 +69,7 @@ class Revolutions:
     first: Any  #: UInt, the number of the first in the BVH; opaque as the next
     first_domain: Any  #: UInt, ... and among domains
     coefficients: int  #: of each, padded with zeros
-    records: Any  #: Float64, x `revolution_record`
+    records: Any  #: wide, x `revolution_record`
     cells: Any  #: Float32, eight numbers each, see `leaves.revolution.Profile`
     bytes: int
     count: int
@@ -103,7 +106,7 @@ def upload_revolutions(
         first=dr.opaque(ty.UInt, first),
         first_domain=dr.opaque(ty.UInt, first_domain),
         coefficients=count,
-        records=upload(ty.Float64, records),
+        records=upload_wide(ty, records),
         cells=upload(ty.Float32, cells),
         bytes=records.nbytes + cells.nbytes,
         count=len(profiles),

@@ -108,7 +108,7 @@ def rolled_partials(
                 row,
                 choices,
                 _first_powers(number, order),
-                [four_zeros(number) for _ in inner],
+                [four_zeros(u) for _ in inner],
             ),
             cond=lambda k, *_: active & (k <= at),
             body=step,
@@ -127,7 +127,7 @@ def rolled_partials(
         return at + 1, row, choices, p
 
     _at, _row, _choices, p = dr.while_loop(
-        (uint(0), first, dr.full(number, 1.0), [four_zeros(number) for _ in outer]),
+        (uint(0), first, dr.full(number, 1.0), [four_zeros(u) for _ in outer]),
         cond=lambda at, *_: active & (at <= degree),
         body=level,
         labels=("level", "row", "choices", "p"),

@@ -18,8 +18,9 @@ from ..leaves.records import (
     LeafKind,
     Leaves,
 )
-from .arrays import types_of, upload
+from .arrays import types_of, upload, upload_wide
 from .buckets import Bucket, Choice, choose
+from .float64_use import uses_pairs
 from .leaf_nets import build_buckets
 from .nodes import Nodes, build_nodes
 from .quadric_records import (
@@ -73,9 +74,9 @@ class Structure:
     affine: Any  #: Float32, x `AFFINE`
     projective: Any  #: Float32, x `PROJECTIVE`
     nets: list[Bucket]  #: of affine leaves, in float32
-    far_nets: list[Bucket]  #: of projective leaves, in float64
-    groups: Any  #: Float64, x `GROUP`
-    axes: Any  #: Float64, x `AXES`: of each group; None if all are those of space
+    far_nets: list[Bucket]  #: of projective leaves, wide
+    groups: Any  #: wide, x `GROUP`
+    axes: Any  #: wide, x `AXES`: of each group; None if all are those of space
     #: The record of the group if there is but one, as data of the kernel: no ray gathers it.
     only_group: list[Any] | None
     #: see `quadric_records.shared_section`: data of the kernel, too, if not None
@@ -83,7 +84,7 @@ class Structure:
     members: Any  #: Float32, x `MEMBER`
     has_tables: bool  #: whether tables of likely members are before those of each group
     cells: Any  #: Float32, x `CELLS`: of groups in which some leaves are inverted
-    inverses: Any  #: Float64, x `INVERSE`: of each member
+    inverses: Any  #: wide, x `INVERSE`: of each member
     polynomials: Any  #: Float32, x K * 4: P and Q of each member, if some kind has them
     domain: Any  #: Float32, x `DOMAIN`; None where leaves are patches, and of one kind
     polynomial_degree: int
@@ -94,6 +95,7 @@ class Structure:
     leaf_count: int  #: all leaves, members of groups counted singly
     bytes: int
     trim: TrimTable | None = None  #: only where some leaf has trims
+    pairs: bool = False  #: wide numbers are `TwoFloat`, see `Types`
     revolutions: Revolutions | None = None  #: even aspheres, numbered after the groups
 
     def has(self, *kinds: LeafKind) -> bool:
@@ -146,7 +148,7 @@ def build_structure(
     object_count : int
         How many there are, if the last of them may have no leaves.
     """
-    ty = types_of(like)
+    ty = types_of(like, uses_pairs(like))
     graph, closed = leaves.graph, leaves.closed_form
     order = _Order.of(leaves)
     members, group_first, graphs = order.members, order.group_first, order.graphs
@@ -182,18 +184,21 @@ def build_structure(
     far_nets = build_buckets(far, order.projective, np.float64, ty)
     only = None
     if len(group_first) == 1:
-        only = [dr.opaque(ty.Float64, float(x)) for x in groups[0]]
+        only = [ty.wide_opaque(float(x)) for x in groups[0]]
     kinds = leaves.kinds
     linear = not kinds & CLOSED_FORMS - {LeafKind.LINEAR}
     return Structure(
         **{
             name: None
             if a is None
-            else upload(ty.Float64 if a.dtype == np.float64 else ty.Float32, _at_least_one(a))
+            else upload_wide(ty, _at_least_one(a))
+            if a.dtype == np.float64
+            else upload(ty.Float32, _at_least_one(a))
             for name, a in arrays.items()
         },
         kinds=kinds,
         nodes=nodes,
+        pairs=ty.pairs,
         only_group=only,
         shared_section=shared and [dr.opaque(ty.Float, x) for x in shared],
         has_tables=has_tables,

@@ -41,7 +41,7 @@ def intersect(
     any_hit : bool
         Stop at the first hit found; then only `valid` means something.
     """
-    ty = types_of(o[0])
+    ty = types_of(o[0], s.pairs)
     query, rays = Query(s, ty, any_hit), Rays.of(ty, o, d, t_max)
     active = ty.Bool(active) & rays.are_valid()
     bvh = BvhRays(s.nodes, ty, ty.UInt(0), prepare(ty, rays.o, rays.d))

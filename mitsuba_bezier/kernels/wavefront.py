@@ -99,7 +99,7 @@ def intersect_wavefront(
 
     Takes some 80 bytes a ray while it is at work, but not for more than `_MAX_RAYS` rays.
     """
-    ty = types_of(o[0])
+    ty = types_of(o[0], s.pairs)
     count = max(dr.width(x) for x in (*o, *d, t_max, active))
     query = Query(s, ty, any_hit)
     rays = _Rays(

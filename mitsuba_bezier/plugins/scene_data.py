@@ -19,6 +19,7 @@ from ..geometry.contours import open_edges
 from ..geometry.trim_cells import trim_cells
 from ..geometry.trims import Trims
 from ..kernels.arrays import types_of, upload
+from ..kernels.float64_use import uses_pairs
 from ..kernels.patch import pack, scaled
 from ..kernels.patch_nets import lay_out
 from ..kernels.query import Hit
@@ -502,7 +503,7 @@ def check_variant(shapes: list[Any]) -> None:
 def data_for_shapes(shapes: list[Any]) -> SceneData:
     """Return the structure of a list of shapes, built once for their present state."""
     check_variant(shapes)
-    key = (mi.variant(), *(s.version for s in shapes))
+    key = (mi.variant(), uses_pairs(mi.Float), *(s.version for s in shapes))
     return _cached(key, lambda: SceneData(shapes, list(range(len(shapes)))))
 
 
@@ -515,5 +516,6 @@ def data_for_scene(scene: Any) -> SceneData | None:
     shapes = [every[i] for i in indices]
     check_variant(shapes)
     # the scene's address would not do: a later scene may get it again
-    key = (mi.variant(), len(every) > len(shapes), *(s.version for s in shapes))
+    others = len(every) > len(shapes)
+    key = (mi.variant(), uses_pairs(mi.Float), others, *(s.version for s in shapes))
     return _cached(key, lambda: SceneData(shapes, indices, scene))

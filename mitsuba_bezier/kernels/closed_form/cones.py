@@ -23,7 +23,7 @@ def cone_parameters(
     ty : Types
     m : record
         `INVERSE` of the leaf.
-    p : three Float64
+    p : three wide numbers
         The point, from the group's origin.
     bary : three Float
         What the rows are there.
@@ -31,7 +31,7 @@ def cone_parameters(
     """
     b0, b1, b2 = bary
     # all that is no sector has a fourth row of zeros
-    last = ty.Float(dot3(m.fourth, p) + m.fourth[3])
+    last = ty.narrow(dot3(m.fourth, p) + m.fourth[3])
     is_cone = last != 0.0
     # through the larger: where a coordinate is small its root is not well known
     first = b0 >= b2

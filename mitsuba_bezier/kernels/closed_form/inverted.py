@@ -32,7 +32,7 @@ def inverted_parameters(
 
     Parameters
     ----------
-    p : three Float64
+    p : three wide numbers
         The point, from the group's origin.
     tolerance : Float
         How far outside of the patch, in the plane, a point may be.
@@ -44,7 +44,7 @@ def inverted_parameters(
     """
     s, ty = query.s, query.ty
     m = INVERSE.gather(s.inverses, dr.select(active, leaf - s.first_group, 0), active)
-    x, y, rest, side = (ty.Float(dot3(row, p) + row[3]) for row in (*m.rows, m.fourth))
+    x, y, rest, side = (ty.narrow(dot3(row, p) + row[3]) for row in (*m.rows, m.fourth))
     scale = reciprocal(x + y + rest)
     a, b = dr.fma(x, scale, -0.5), dr.fma(y, scale, -0.5)
     equations, degree = equations_of(s, leaf, a, b, active)

@@ -17,6 +17,7 @@ from ..query import Query
 from ..records import is_kind
 from ..structure import Structure
 from ..trim import leaf_test
+from ..two_float import fma, select
 from .kinds import KINDS
 from .polynomials import shared_rows
 
@@ -56,15 +57,15 @@ class Roots:
     """Where a ray meets a quadric: pairs, the first root first."""
 
     wanted: list[Any]  #: Bool: whether it is there, and within the ray
-    along: list[Any]  #: Float64, ray parameter from `middle` on
+    along: list[Any]  #: wide, ray parameter from `middle` on
     point: list[list[Any]]  #: three Float each, from the group's origin
     tolerance: list[Any]  #: Float, how far out of a patch it may be
-    middle: list[Any]  #: three Float64, a point of the ray
-    direction: list[Any]  #: three Float64
+    middle: list[Any]  #: three wide numbers, a point of the ray
+    direction: list[Any]  #: three wide numbers
 
     def exactly(self, along: Any) -> list[Any]:
-        """Return the point of the ray at a number as in `along`, in float64."""
-        return [dr.fma(along, d, p) for d, p in zip(self.direction, self.middle)]
+        """Return the point of the ray at a number as in `along`."""
+        return [fma(along, d, p) for d, p in zip(self.direction, self.middle)]
 
 
 def _inside(s: Structure, m: SimpleNamespace, p: list[Any], tolerance: Any) -> Any:
@@ -134,7 +135,7 @@ def find_members(query: Query, members: Members, roots: Roots) -> OnMember:
         label="bezier group members",
     )
     hit, leaf = hit1 | hit2, dr.select(hit1, leaf1, leaf2)
-    along = dr.select(hit1, *roots.along)
+    along = select(hit1, *roots.along)
     if not s.by_sides:
         return OnMember(hit, ~hit1, leaf, *parameters(leaf, along, hit))
     u, v = _from_sides(s, sides, leaf, along, hit, parameters)
@@ -198,7 +199,7 @@ def find_deferred(query: Query, members: Members, roots: Roots) -> OnMember:
             labels=("go", "left", "found", "second", "leaf", "kind"),
             label="bezier likely members",
         )
-        p = roots.exactly(dr.select(second, roots.along[1], roots.along[0]))
+        p = roots.exactly(select(second, roots.along[1], roots.along[0]))
         tolerance = dr.select(second, roots.tolerance[1], roots.tolerance[0])
         hit, u, v = _decide(query, leaf, kind, p, tolerance, found)
         kept = leaf_test(s, leaf)
@@ -280,7 +281,7 @@ def _values(rows: list[list[Any]], p: list[Any]) -> list[Any]:
 
 
 def _barycentrics(query: Query, leaf: Any, p: list[Any], active: Any) -> tuple[Any, Any]:
-    """Invert a patch in float64: near the tip of a lune little is left of ``U`` in float32.
+    """Invert a patch at a wide point: near the tip of a lune little is left of ``U`` in float32.
 
     Of sectors of cones these are the first two from the corner on that is their apex.
     """
@@ -289,9 +290,9 @@ def _barycentrics(query: Query, leaf: Any, p: list[Any], active: Any) -> tuple[A
     others = [f for k in sorted(s.kinds & CLOSED_FORMS) if (f := KINDS[k].at_point) is not None]
     m = INVERSE.gather(s.inverses, number, active, None if others else "rows")
     bary = _values(m.rows, p)
-    total = ty.Float(bary[0] + bary[1] + bary[2])
+    total = ty.narrow(bary[0] + bary[1] + bary[2])
     inv = reciprocal(dr.select(total == 0.0, 1.0, total))
-    b0, b1, b2 = (ty.Float(b) for b in bary)
+    b0, b1, b2 = (ty.narrow(b) for b in bary)
     u, v = b0 * inv, b1 * inv
     for at_point in others:
         u, v = at_point(ty, m, p, [b0, b1, b2], (u, v))

@@ -24,6 +24,7 @@ from ..structure import (
     REACH_DIGITS,
     REMAINDER_DIGITS,
 )
+from ..two_float import fma
 
 __all__ = [
     "ChartLine",
@@ -66,7 +67,7 @@ class ChartLine:
     the entry into the leaf's prism and ``tau``.
     """
 
-    base: Any  #: Float64, ray parameter of a point near the leaf
+    base: Any  #: wide, ray parameter of a point near the leaf
     gamma: Any  #: half the second derivative of the ray's height over the quadratic
     tau: Any
     end: Any  #: where the ray leaves the prism
@@ -77,7 +78,7 @@ class ChartLine:
     def zero(ty: Types) -> ChartLine:
         """Return an uninitialised value for a loop's state."""
         zero = dr.zeros(ty.Float)
-        return ChartLine(dr.zeros(ty.Float64), zero, zero, zero, zero, ty.Bool(False))
+        return ChartLine(ty.wide_zero(), zero, zero, zero, zero, ty.Bool(False))
 
 
 def cull(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
@@ -111,24 +112,23 @@ def cull(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLi
 def _cull_affine(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
     """Cull in float32; what that may be off is a part of the leaf's bounds.
 
-    Only the ray's point near the leaf is found in float64, so that neither rays from afar nor
+    Only the ray's point near the leaf is a wide number, so that neither rays from afar nor
     scenes far off make it worse. The march goes along a line that is known better: `affine_rays`.
     """
     s, ty, o, d = query.s, query.ty, rays.o, rays.d
     record = AFFINE.gather(s.affine, leaf, active)
     rows = record.rows
     e = [dot3(row, d) for row in rows]
-    f64 = ty.Float64
-    t0 = f64(
+    t0 = ty.widen(
         -dot3([o[i] - ty.Float(record.shift[i]) for i in range(3)], d) * reciprocal(dot3(d, d))
     )
     near = _point(ty, record.shift, t0, rays)
-    x0 = [dot3(row, [ty.Float(x) for x in near]) for row in rows]
+    x0 = [dot3(row, [ty.narrow(x) for x in near]) for row in rows]
     # on a leaf as thin as a hair the nearest point may be thousands of widths away: then on to the
     # point nearest in the chart
     ahead = -dot3(x0, e) * reciprocal(dot3(e, e))
     x0 = [dr.fma(ahead, e[i], x0[i]) for i in range(3)]
-    base = t0 + f64(ahead)
+    base = t0 + ty.widen(ahead)
     word = record.remainder_outward
     remainder = _number(ty, word, 0, REMAINDER_DIGITS, LEAST_REMAINDER)
     outward = [_number(ty, word, at, REACH_DIGITS, LEAST_REACH) for at in OUTWARD_BITS]
@@ -138,7 +138,7 @@ def _cull_affine(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any,
             _number(ty, word, 0, REACH_DIGITS, LEAST_REACH) for word in record.quadratic_inward
         ]
     bounds = LeafBounds(affine_quadratic(ty, record), remainder, outward, inward)
-    lo, hi = ty.Float(-base), ty.Float(f64(rays.t_max) - base)
+    lo, hi = ty.narrow(-base), ty.narrow(ty.widen_end(rays.t_max) - base)
     return _cull((x0, e), bounds, lo, hi, base)
 
 
@@ -158,9 +158,9 @@ def affine_quadratic(ty: Types, record: SimpleNamespace) -> list[Any]:
 
 
 def _point(ty: Types, shift: list[Any], t: Any, rays: Rays) -> list[Any]:
-    """Return the point of a ray at `t`, from a leaf's shift, in float64."""
-    f64 = ty.Float64
-    return [dr.fma(t, f64(rays.d[i]), f64(rays.o[i]) - f64(shift[i])) for i in range(3)]
+    """Return the point of a ray at `t`, from a leaf's shift, as wide numbers."""
+    away = [ty.widen(rays.o[i]) - ty.widen(shift[i]) for i in range(3)]
+    return [fma(t, ty.widen(rays.d[i]), away[i]) for i in range(3)]
 
 
 def affine_rays(
@@ -168,47 +168,46 @@ def affine_rays(
 ) -> ChartRays:
     """Return the images of rays under an affine leaf's chart; the parameter `base` is at zero.
 
-    `x0` is found in float64; both are float64 if `wide`.
+    `x0` is found in wide numbers; both are wide if `wide`.
     """
-    f64 = ty.Float64
     near = _point(ty, record.shift, base, rays)
     rows = record.rows
-    wide_rows = [[f64(x) for x in row] for row in rows]
+    wide_rows = [[ty.widen(x) for x in row] for row in rows]
     x0 = [dot3(row, near) for row in wide_rows]
     if wide:
-        e = [dot3(row, [f64(rays.d[i]) for i in range(3)]) for row in wide_rows]
+        e = [dot3(row, [ty.widen(rays.d[i]) for i in range(3)]) for row in wide_rows]
     else:
-        x0, e = [ty.Float(x) for x in x0], [dot3(row, rays.d) for row in rows]
-    return ChartRays(x0, e, lambda tau: ty.Float(base + ty.Float64(tau)))
+        x0, e = [ty.narrow(x) for x in x0], [dot3(row, rays.d) for row in rows]
+    return ChartRays(x0, e, lambda tau: ty.narrow(base + ty.widen(tau)))
 
 
 def projective_rays(ty: Types, record: SimpleNamespace, rays: Rays) -> ChartRays:
-    """Return the images of rays under a projective leaf's collineation, in float64.
+    """Return the images of rays under a projective leaf's collineation, as wide numbers.
 
     Homogeneously the ray is ``a + s b``, ``a`` being the point nearest the shift. The image is
     taken as ``x0 + tau e`` through ``a_w a + b_w b``, which is never at the chart's infinity, as
     its ``w`` is ``a_w^2 + b_w^2``, and then moved to its point nearest the leaf's centre.
     """
-    f64, o, d = ty.Float64, rays.o, rays.d
-    od = [f64(o[i]) - f64(record.shift[i]) for i in range(3)]
-    dd = [f64(d[i]) for i in range(3)]
+    o, d = rays.o, rays.d
+    od = [ty.widen(o[i]) - ty.widen(record.shift[i]) for i in range(3)]
+    dd = [ty.widen(d[i]) for i in range(3)]
     t0 = -dot3(od, dd) / dot3(dd, dd)
-    near = [dr.fma(t0, dd[i], od[i]) for i in range(3)]
-    rows = [[f64(x) for x in row] for row in record.rows]
+    near = [fma(t0, dd[i], od[i]) for i in range(3)]
+    rows = [[ty.widen(x) for x in row] for row in record.rows]
     a = [dot3(row, near) + row[3] for row in rows]
     b = [dot3(row, dd) for row in rows]
     aw, bw = a[3], b[3]
-    inv = reciprocal(dr.fma(aw, aw, bw * bw))
-    x0 = [dr.fma(aw, a[i], bw * b[i]) * inv for i in range(3)]
-    e = [dr.fma(aw, b[i], -bw * a[i]) * inv for i in range(3)]
+    inv = reciprocal(fma(aw, aw, bw * bw))
+    x0 = [fma(aw, a[i], bw * b[i]) * inv for i in range(3)]
+    e = [fma(aw, b[i], -bw * a[i]) * inv for i in range(3)]
     middle = -dot3([x0[0] - 1 / 3, x0[1] - 1 / 3, x0[2]], e) / dot3(e, e)
-    x0 = [dr.fma(middle, e[i], x0[i]) for i in range(3)]
+    x0 = [fma(middle, e[i], x0[i]) for i in range(3)]
 
     def parameter(tau: Any) -> Any:
         tau = tau + middle
-        return ty.Float(t0 + dr.fma(tau, aw, bw) / dr.fma(-tau, bw, aw))
+        return ty.narrow(t0 + fma(tau, aw, bw) / fma(-tau, bw, aw))
 
-    return ChartRays(x0, e, parameter, bw != 0.0)
+    return ChartRays(x0, e, parameter, ty.narrow(bw) != 0.0)
 
 
 def _cull_projective(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[Any, ChartLine]:
@@ -216,9 +215,9 @@ def _cull_projective(query: Query, leaf: Any, rays: Rays, active: Any) -> tuple[
     ty = query.ty
     record = PROJECTIVE.gather(query.s.projective, leaf, active)
     there = projective_rays(ty, record, rays)
-    line = [ty.Float(x) for x in there.x0], [ty.Float(x) for x in there.e]
+    line = [ty.narrow(x) for x in there.x0], [ty.narrow(x) for x in there.e]
     infinity = dr.full(ty.Float, dr.inf)
-    zero = dr.zeros(ty.Float64)
+    zero = ty.wide_zero()
     bounds = LeafBounds(record.quadratic, record.remainder, [record.outward] * 3, None)
     return _cull(line, bounds, -infinity, infinity, zero)
 

@@ -1,4 +1,4 @@
-"""Make hits at grazing angles exact, in float64.
+"""Make hits exact, at grazing angles and in projective charts, with wide numbers.
 
 An error across the surface is an error along the ray divided by the cosine between the ray and the
 normal. What float32 leaves of it, some 1e-7 of a leaf's size, is seen near silhouettes of large
@@ -13,12 +13,13 @@ from typing import Any
 import drjit as dr
 
 from ..buckets import Bucket
-from ..leaf_nets import gather_net
+from ..leaf_nets import LeafNet, gather_net
 from ..query import Query, Rays
 from ..structure import AFFINE
-from .chart import affine_rays
+from ..two_float import coarse, fma
+from .chart import ChartRays, affine_rays
 
-__all__ = ["LeafPlace", "polish"]
+__all__ = ["LeafPlace", "correction", "polish"]
 
 #: Hits are polished if the ray would come nearer to the surface by less than this, in leaf sizes,
 #: on its whole way: 1e-7 of a leaf is then more than 1e-6 of the way.
@@ -37,6 +38,36 @@ class LeafPlace:
     number: Any  #: UInt, the net's
 
 
+def correction(
+    net: LeafNet, there: ChartRays, tau: Any, u: Any, v: Any, active: Any
+) -> tuple[Any, Any, Any]:
+    """Return the step of Newton's method from where a ray nearly meets a leaf.
+
+    Parameters
+    ----------
+    there : ChartRays
+        The ray, in wide numbers.
+    tau, u, v : wide numbers
+        Where it is, and the parameters there.
+
+    Returns
+    -------
+    d_tau, du, dv
+        Coarse, see `two_float.coarse`, as slopes are: only what is left of the way to the surface
+        is a difference of wide numbers.
+    """
+    point, (xu, yu, zu), (xv, yv, zv) = net.point(u, v, active)
+    # from the ray to the surface, and what the ray is in the tangent plane's coordinates
+    rx, ry, rz = (coarse(fma(tau, e, x0) - x) for e, x0, x in zip(there.e, there.x0, point))
+    ex, ey, ez = (coarse(e) for e in there.e)
+    idet = 1.0 / dr.fma(xu, yv, -xv * yu)
+    du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet
+    eu, ev = dr.fma(yv, ex, -xv * ey) * idet, dr.fma(xu, ey, -yu * ex) * idet
+    slope = ez - dr.fma(zu, eu, zv * ev)
+    delta = -(rz - dr.fma(zu, du, zv * dv)) / slope
+    return delta, dr.fma(eu, delta, du), dr.fma(ev, delta, dv)
+
+
 def polish(
     query: Query, place: LeafPlace, base: Any, rays: Rays, best: Any
 ) -> tuple[Any, Any, Any]:
@@ -45,7 +76,7 @@ def polish(
     Parameters
     ----------
     place : LeafPlace
-    base : Float64
+    base : wide number
         Ray parameter of a point near the leaf, see `chart.ChartLine`.
     best : march.Best
         The hits.
@@ -57,27 +88,18 @@ def polish(
     s, ty = query.s, query.ty
 
     def step(t: Any, u: Any, v: Any, closing: Any, leaf: Any, number: Any, base: Any) -> Any:
-        f64 = ty.Float64
         record = AFFINE.gather(s.affine, leaf, best.hit)
         net = gather_net(place.bucket, number, best.hit)
         there = affine_rays(ty, record, base, rays, wide=True)
-        (x0, y0, z0), (ex, ey, ez) = there.x0, there.e
-        u64, v64, tau = f64(u), f64(v), f64(t) - base
-        (x, y, z), (xu, yu, zu), (xv, yv, zv) = net.point(u64, v64, best.hit)
-        # from the ray to the surface, and what the ray is in the tangent plane's coordinates
-        rx, ry, rz = dr.fma(tau, ex, x0) - x, dr.fma(tau, ey, y0) - y, dr.fma(tau, ez, z0) - z
-        idet = 1.0 / dr.fma(xu, yv, -xv * yu)
-        du, dv = dr.fma(yv, rx, -xv * ry) * idet, dr.fma(xu, ry, -yu * rx) * idet
-        eu, ev = dr.fma(yv, ex, -xv * ey) * idet, dr.fma(xu, ey, -yu * ex) * idet
-        slope = ez - dr.fma(zu, eu, zv * ev)
-        delta = -(rz - dr.fma(zu, du, zv * dv)) / slope
+        tau = ty.widen(t) - base
+        delta, du, dv = correction(net, there, tau, ty.widen(u), ty.widen(v), best.hit)
+        ex, ey, ez = (coarse(x) for x in there.e)
         speed2 = ty.Float(dr.fma(ex, ex, dr.fma(ey, ey, ez * ez)))
         usable = dr.abs(ty.Float(delta)) * speed2 < _SHARE * closing  # false for NaN
-        u64, v64 = u64 + dr.fma(eu, delta, du), v64 + dr.fma(ev, delta, dv)
         return (
-            dr.select(usable, ty.Float(base + (tau + delta)), t),
-            dr.select(usable, ty.Float(u64), u),
-            dr.select(usable, ty.Float(v64), v),
+            dr.select(usable, ty.narrow(base + (tau + delta)), t),
+            dr.select(usable, ty.narrow(ty.widen(u) + du), u),
+            dr.select(usable, ty.narrow(ty.widen(v) + dv), v),
         )
 
     return dr.if_stmt(

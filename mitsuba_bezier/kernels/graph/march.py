@@ -19,6 +19,7 @@ from ..leaf_nets import LeafNet, gather_net
 from ..query import Found, Query, Rays
 from ..structure import AFFINE, PROJECTIVE
 from ..trim import leaf_test
+from ..two_float import TwoFloat
 from .chart import (
     ChartLine,
     ChartRays,
@@ -27,7 +28,7 @@ from .chart import (
     projective_rays,
     root_fraction,
 )
-from .grazing import LeafPlace, polish
+from .grazing import LeafPlace, correction, polish
 
 __all__ = ["march"]
 
@@ -78,7 +79,10 @@ def _march_affine(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: 
 
 
 def _march_projective(query: Query, leaf: Any, line: ChartLine, rays: Rays, active: Any) -> Found:
-    """March in float64: distances to the plane at infinity are differences of numbers near one."""
+    """March in float64: distances to the plane at infinity are differences of numbers near one.
+
+    Where wide numbers are pairs of float32 the march is in float32, and each root is made exact.
+    """
     s, ty = query.s, query.ty
 
     def task(
@@ -88,7 +92,13 @@ def _march_projective(query: Query, leaf: Any, line: ChartLine, rays: Rays, acti
         net = gather_net(bucket, number, active)
         there = projective_rays(ty, record, rays)
         surface = _Surface(net, record.quadratic, leaf_test(s, leaf))
-        best = _March(surface, there, line, LAST_STEP_PROJECTIVE).run(rays.t_max, active)
+        if ty.pairs:
+            x0, e = ([ty.narrow(x) for x in y] for y in (there.x0, there.e))
+            single = replace(there, x0=x0, e=e)
+            marched = _March(surface, single, line, LAST_STEP, exact=there)
+        else:
+            marched = _March(surface, there, line, LAST_STEP_PROJECTIVE)
+        best = marched.run(rays.t_max, active)
         return Found(best.hit, best.t, ty.Float(best.u), ty.Float(best.v), leaf)
 
     number = leaf - s.first_projective
@@ -151,12 +161,20 @@ class _March:
         Where culling came to.
     last_step : float
         Steps below this are the last.
+    exact : ChartRays, optional
+        The same rays in wide numbers, with which roots are made exact.
     """
 
     def __init__(
-        self, surface: _Surface, there: ChartRays, line: ChartLine, last_step: float
+        self,
+        surface: _Surface,
+        there: ChartRays,
+        line: ChartLine,
+        last_step: float,
+        exact: ChartRays | None = None,
     ) -> None:
         self.surface, self.there, self.last_step = surface, there, last_step
+        self.exact = exact
         self.ty = ty = types_of(there.x0[0])
         net = surface.net
         size = dr.floor(net.bending * (1.0 / BENDING_LIMIT))
@@ -268,11 +286,18 @@ class _March:
 
     def _accept(self, run: Any, place: _Place, root: _Root, best: Best) -> tuple[Any, Best]:
         """Return a mask of roots that are on the leaf and nearer than the best, and the best."""
-        u, v = place.u, place.v
+        u, v, tau = place.u, place.v, place.tau
+        if self.exact is not None:
+            tau, *at = (TwoFloat(x) for x in (tau, u, v))
+            found = run & root.found
+            step = correction(self.surface.net, self.exact, tau, at[0], at[1], found)
+            small = dr.abs(step[0]) * self.speed < self.last_step  # false for NaN
+            tau = tau + dr.select(small, step[0], 0.0)
+            u, v = (x + dr.select(small, y, 0.0) for x, y in zip((u, v), step[1:]))
         closing = dr.abs(root.slope) * inverse_root(root.normal2)
         tolerance = edge_tolerance(closing * reciprocal(self.speed))
         inside = dr.minimum(dr.minimum(u, v), 1.0 - u - v) >= -tolerance
-        t = self.there.parameter(place.tau)
+        t = self.there.parameter(tau)
         accept = run & root.found & inside & (t > 0.0) & (t < best.t)
         if self.surface.kept is not None:
             accept = accept & self.surface.kept(u, v, accept)
