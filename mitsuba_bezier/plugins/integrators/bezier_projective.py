@@ -12,6 +12,7 @@ from .bezierpath import make_path_class
 from .depths import check_count
 from .indirect_silhouette import indirect_silhouette_image
 from .primary_silhouette import primary_silhouette_image
+from .rough_outlines import rough_outline_image
 from .specular_silhouette import specular_silhouette_image
 
 __all__ = ["make_direct_projective_class", "make_prb_projective_class"]
@@ -36,8 +37,8 @@ def make_prb_projective_class() -> type:
          * - sppc, sppp, sppi, spps
            - |int|
            - Samples per pixel for derivatives within surfaces, of silhouettes and edges as
-             the camera sees them, as surfaces see them (shadows, reflections), and as they are
-             seen in ideal mirrors and through smooth glass. Unless it is
+             the camera sees them, as surfaces see them (shadows, reflections), and as both see
+             them in ideal mirrors and through smooth glass. Unless it is
              0, the `spp` of the render call comes first; without either, that of the sampler
              (Default: none).
 
@@ -73,6 +74,7 @@ def make_prb_projective_class() -> type:
                 (self._sppp, primary_silhouette_image),
                 (self._sppi, indirect_silhouette_image),
                 (self._spps, specular_silhouette_image),
+                (self._spps, rough_outline_image),
             ):
                 count = self._samples(own, spp, sensor)
                 images.append(image(self, scene, sensor, seed, count) if count else None)

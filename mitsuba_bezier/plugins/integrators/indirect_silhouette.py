@@ -92,6 +92,7 @@ def _importance(
         "vertices": mi.UInt32(0),
         "depth": mi.UInt32(1),
         "found": mi.UInt32(0),
+        "turned": mi.Bool(False),  # by ideal surfaces only, so far
         "active": mi.Bool(active),
         "sampler": sampler,
     }
@@ -103,7 +104,8 @@ def _importance(
         si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
         active = active & si.is_valid()
         bsdf = si.bsdf()
-        smooth = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        # what this surface sees in mirrors and through glass is for `rough_outlines`
+        smooth = active & ~st["turned"] & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         ds, weight = sensor.sample_direction(si, sampler.next_2d(), smooth)
         smooth = smooth & (ds.pdf > 0) & dr.any(weight > 0)
         smooth = smooth & ~rays.is_blocked(spawn_ray_to(si, p_err, ds.p), smooth)
@@ -116,6 +118,8 @@ def _importance(
         active = active & (depth < integrator.max_depth)
         sample, bsdf_weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
         throughput = st["throughput"] * bsdf_weight
+        ideal = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        turned = ideal & (st["turned"] | (st["depth"] == 1))
         return (
             {
                 "ray": spawn_ray(si, p_err, si.to_world(sample.wo)),
@@ -125,6 +129,7 @@ def _importance(
                 "vertices": dr.select(keep, st["depth"], st["vertices"]),
                 "depth": depth,
                 "found": found,
+                "turned": turned,
                 "active": active & dr.any(throughput != 0),
                 "sampler": sampler,
             },

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +21,11 @@ _GRAZING = 0.05
 _AT_EDGE = 1e-3
 #: Relative difference of distances below which two surfaces meet.
 _TOGETHER = 1e-3
-#: Radius in parameters of a circle on which a trimming curve is looked for, far above rounding.
+#: Radius of a circle on which a border is looked for, far above rounding: in parameters of a
+#: patch, or relative to the distance.
 _CIRCLE = 1e-3
+#: Relative difference of distances below which a hit on the same shape is beside another one.
+_SAME = 1e-3
 #: Parts of it that are looked at, and halvings of these.
 _SECTORS, _HALVINGS = 16, 10
 
@@ -37,7 +41,7 @@ class Outline:
     n: Any = None  #: Vector3f, across ray and outline; what distances from `p` count
     m: Any = None  #: Vector3f, what distances from `q` count
     t: Any = None  #: Float, where on the ray
-    known: Any = None  #: Bool, False for outlines of Mitsuba's shapes, and where it is not clear
+    known: Any = None  #: Bool, False where it is not clear
 
     DRJIT_STRUCT = dict.fromkeys(("near", "far", "p", "q", "n", "m", "t", "known"), Any)
 
@@ -79,7 +83,7 @@ class Outline:
         # the number that is nearer to 0, the sizes of both as they are at an outline
         grazes = cosine < _GRAZING
         edge = ours & (open_ < _AT_EDGE) & (~grazes | (_GRAZING / _AT_EDGE * open_ < cosine))
-        contour = ours & grazes & ~edge
+        contour = active & grazes & ~edge & near.pi.is_valid()
         close = dr.abs(_distance(b) - _distance(a)) < _TOGETHER * _distance(near)
         same = si.shape == behind.shape
         crease = ours & close & same & (nearest < _AT_EDGE) & ~edge & ~contour
@@ -88,9 +92,17 @@ class Outline:
         cut = mi.Bool(False)
         if data.trim is not None:
             cut = ours & ~(edge | contour | crease | meeting)
-            du, dv, found = _along_trim(data.trim, near.patch, uv, cut)
+            du, dv, found = _border(_in_trims(data.trim, near.patch, uv, cut), cut)
             cut = cut & found
             line = dr.select(cut, pu * du + pv * dv, line)
+        if data.scene_has_others:
+            other = active & ~near.bezier & near.pi.is_valid() & ~(contour | meeting)
+            ray = dr.select(before, ray_a, ray_b)
+            du, dv, found = _border(_on_shape(rays, near, ray, si, other), other)
+            other = other & found
+            cut = cut | other
+            frame = mi.Frame3f(si.n)
+            line = dr.select(other, frame.s * du + frame.t * dv, line)
         n = dr.select(contour, si.n - d * dr.dot(si.n, d), dr.cross(d, line))
         n = dr.normalize(n)
         known = edge | contour | crease | meeting | cut
@@ -110,20 +122,56 @@ class Outline:
         return gap + dr.dot(self.m, _moving(tables, self.far, self.q) - along)
 
 
-def _along_trim(table: Any, patch: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
-    """Return the direction of a trimming curve that a point is on, and whether there is one.
+def _in_trims(table: Any, patch: Any, uv: Any, active: Any) -> Callable[[Any, Any], Any]:
+    """Return what tells whether there is surface beside `uv`, by parameters of the patch."""
 
-    It is that between the two places where a small circle around the point crosses the curve.
+    def inside(x: Any, y: Any) -> Any:
+        return mi.Bool(keep(table, patch, uv.x + x * _CIRCLE, uv.y + y * _CIRCLE, active))
+
+    return inside
+
+
+def _on_shape(
+    rays: SceneRays, hit: Preliminary, ray: Any, si: Any, active: Any
+) -> Callable[[Any, Any], Any]:
+    """Return what tells whether there is surface beside a hit on a shape of any kind.
+
+    Rays ask for it, so nothing has to be known of the shape. Coordinates are those of the tangent
+    plane, in thousandths of the distance.
+    """
+    frame, radius = mi.Frame3f(si.n), _CIRCLE * hit.pi.t
+
+    def inside(x: Any, y: Any) -> Any:
+        to = si.p + radius * (x * frame.s + y * frame.t) - ray.o
+        distance = dr.norm(to)
+        there = mi.Ray3f(ray)
+        there.d, there.maxt = to / distance, dr.largest(mi.Float)
+        met = rays.preliminary(there, False, active)
+        near = dr.abs(met.pi.t - distance) < _SAME * distance
+        return met.pi.is_valid() & (met.pi.shape == hit.pi.shape) & near
+
+    return inside
+
+
+def _border(inside: Callable[[Any, Any], Any], active: Any) -> tuple[Any, Any, Any]:
+    """Return the direction of a border that a point is on, and whether there is one.
+
+    It is that between the two places where a circle around the point crosses the border.
+
+    Parameters
+    ----------
+    inside : callable
+        Whether there is surface at a place on the unit circle.
+    active : Bool
     """
 
-    def inside(turn: Any) -> Any:
+    def at(turn: Any) -> Any:
         sine, cosine = dr.sincos(dr.two_pi * turn)
-        u, v = dr.fma(_CIRCLE, cosine, uv.x), dr.fma(_CIRCLE, sine, uv.y)
-        return mi.Bool(keep(table, patch, u, v, active))
+        return inside(cosine, sine)
 
     def step(k: Any, last: Any, enter: Any, leave: Any) -> tuple[Any, ...]:
         turn = mi.Float(k) / _SECTORS
-        here = inside(turn)
+        here = at(turn)
         before = turn - 1 / _SECTORS
         return (
             k + 1,
@@ -132,17 +180,17 @@ def _along_trim(table: Any, patch: Any, uv: Any, active: Any) -> tuple[Any, Any,
             dr.select(~here & last, before, leave),
         )
 
-    width = dr.width(uv)
+    width = dr.width(active)
     none = dr.full(mi.Float, -1, width)
     _k, _last, enter, leave = dr.while_loop(
-        (mi.UInt32(1), inside(dr.zeros(mi.Float, width)), none, none),
+        (mi.UInt32(1), at(dr.zeros(mi.Float, width)), none, none),
         lambda k, _last, _enter, _leave: k <= _SECTORS, step, label="bezier outlines: sectors",
     )  # fmt: skip
 
     def halve(k: Any, size: Any, enter: Any, leave: Any) -> tuple[Any, ...]:
         size = 0.5 * size
-        enter = dr.select(inside(enter + size), enter, enter + size)
-        leave = dr.select(inside(leave + size), leave + size, leave)
+        enter = dr.select(at(enter + size), enter, enter + size)
+        leave = dr.select(at(leave + size), leave + size, leave)
         return k + 1, size, enter, leave
 
     found = active & (enter >= 0) & (leave >= 0)
