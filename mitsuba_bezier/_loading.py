@@ -3,16 +3,51 @@
 Mitsuba merges meshes, by default, into one shape for each BSDF, in the order of the addresses that
 the objects happen to have. Shapes, and so emitters, then come in another order from load to load,
 and with it equal seeds give other images. Everything of ours loads scenes through here.
+
+Mitsuba's OpenEXR hands the rows of a file to Dr.Jit's pool of threads, and waits for them. Where
+that has one thread, the one that waits, it waits for ever: so there are two.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-__all__ = ["load_dict", "load_file", "parser_config", "relative_to"]
+__all__ = [
+    "give_thread",
+    "load_dict",
+    "load_file",
+    "parser_config",
+    "relative_to",
+    "thread_for_files",
+]
+
+
+def give_thread() -> None:
+    """Let Dr.Jit have a second thread on a machine of one core, for files of EXR."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    cores = len(allowed(0)) if allowed else os.cpu_count()
+    dr: Any = import_module("drjit")
+    if cores == 1 and dr.thread_count() == 1:
+        dr.set_thread_count(2)
+
+
+@contextmanager
+def thread_for_files() -> Iterator[None]:
+    """Let Dr.Jit have a second thread, if it is to have one only, while files are read."""
+    dr: Any = import_module("drjit")
+    if dr.thread_count() != 1:
+        yield
+        return
+    dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(1)
 
 
 def parser_config(mi: Any, variant: str) -> Any:
@@ -51,5 +86,6 @@ def _load(mi: Any, parse: Callable[..., Any], source: Any, **defines: str) -> An
     config = parser_config(mi, mi.variant())
     state = parse(config, source, **defines)
     mi.parser.transform_all(config, state)
-    built = mi.parser.instantiate(config, state)
+    with thread_for_files():
+        built = mi.parser.instantiate(config, state)
     return built[0] if isinstance(built, list) and len(built) == 1 else built

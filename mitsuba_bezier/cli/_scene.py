@@ -121,7 +121,8 @@ def load(
         name, notes = _choose_integrator(mi, state)
         if box_filter:
             _choose_box_filter(mi, state, notes)
-        built = _guarded(path, mi.parser.instantiate, config, state)
+        with _loading.thread_for_files():
+            built = _guarded(path, mi.parser.instantiate, config, state)
         scene = built[0] if isinstance(built, list) and len(built) == 1 else built
         if not isinstance(scene, mi.Scene):
             raise FileFormatError.expected("SCENE", "a file whose root is <scene>", f"{path}")

@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from .._loading import thread_for_files
 from ..errors import FileFormatError
 from ..geometry.fields import BezierField
 from ..geometry.triangles import BezierTriangles
@@ -74,7 +75,8 @@ def _loaded(mi: Any, text: str) -> Any:
     if "version=" not in text.split(">", 1)[0]:
         text = f'{head} version="3.0.0" {rest}'
     try:
-        return mi.load_string(text)
+        with thread_for_files():
+            return mi.load_string(text)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
         raise FileFormatError.expected("material", "XML that Mitsuba reads", reason) from None

@@ -11,6 +11,7 @@ from typing import Any
 import mitsuba as mi
 
 from .. import _runtime
+from .._loading import give_thread
 from . import native
 
 __all__ = ["PLUGINS", "register"]
@@ -76,6 +77,7 @@ def _on_variant(_old: str | None, new: str | None) -> None:
         return
     for name, (kind, _path) in PLUGINS.items():
         getattr(mi, f"register_{kind}")(name, partial(_instantiate, name))
+    give_thread()
     if not supported:  # then a plugin is an error that says so, and the rest of Mitsuba is as it is
         return
     native.register(not new.startswith("scalar"))

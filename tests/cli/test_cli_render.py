@@ -21,6 +21,7 @@ from mitsuba_bezier.cli import _images, _passes, main
 from mitsuba_bezier.rendering.passes import render_pass
 from mitsuba_bezier.rendering.picture import Picture
 from mitsuba_bezier.rendering.plan import Plan, pass_seed
+from mitsuba_bezier.verification.images import write_exr
 
 
 @pytest.fixture
@@ -446,3 +447,52 @@ def test_ctrl_c_ends_at_once_and_leaves_no_file(folder):
     assert "Traceback" not in err
     assert sorted(os.listdir()) == ["ball.exr", "ball.xml"]
     assert (folder / "ball.exr").read_text() == "old"
+
+
+# ---------------------------------------------------------------- one thread, one core
+
+SKY = """
+import os, sys
+if sys.argv[1:] == ["core"]:
+    os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+import numpy as np
+import mitsuba_bezier as mb
+import mitsuba as mi
+from mitsuba_bezier.verification.images import write_exr
+write_exr("sky.exr", {c: np.full((8, 16), 0.5, np.float32) for c in "RGB"}, {})
+mi.set_variant("llvm_ad_rgb")
+import drjit as dr
+sky = {"type": "envmap", "filename": "sky.exr"}
+if sys.argv[1:] == ["core"]:  # whatever reads and writes
+    mi.Bitmap("sky.exr").write("again.exr")
+else:
+    dr.set_thread_count(1)
+mi.load_dict({"type": "scene", "sky": sky})
+print(dr.thread_count())
+"""
+
+
+@pytest.mark.parametrize("words", [(), ("core",)], ids=["thread", "core"])
+def test_surroundings_on_one_thread_or_core(folder, python, words):
+    """Mitsuba waits for ever for an EXR file where Dr.Jit has one thread."""
+    if words and not hasattr(os, "sched_setaffinity"):
+        pytest.skip("no way to give up cores")
+    done = python(SKY, None, *words)
+    assert done.stdout.split() == (["2"] if words else ["1"]), done.stderr
+
+
+def test_every_way_to_surroundings_with_one_thread(folder, python):
+    write_exr("sky.exr", {c: np.full((8, 16), 0.5, np.float32) for c in "RGB"}, {})
+    mb.save(mb.sphere(), "ball.vtu")
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
+    (folder / "sky.xml").write_text(scene().replace('<emitter type="constant"/>', sky))
+    board = (
+        '<bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+        '<string name="filename" value="sky.exr"/></texture></bsdf>'
+    )
+    code = "from mitsuba_bezier.cli.main import main; import sys; sys.exit(main())"
+    small = ("-t", "1", "--spp", "1", "-q", "-o", "a.exr")
+    model = ("ball.vtu", "--size", "8x6")
+    for more in (("sky.xml",), (*model, "--light", "sky.exr"), (*model, f"--material=*={board}")):
+        done = python(code, None, "render", *more, *small)
+        assert done.returncode == 0, done.stderr

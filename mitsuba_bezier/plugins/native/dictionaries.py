@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import errors
+from ..._loading import thread_for_files
 from ...errors import NetError
 from ...geometry.fields import BezierField
 from ...geometry.triangles import BezierTriangles
@@ -117,7 +118,8 @@ def install() -> None:
             # numbers of emitters: equal seeds would give other images
             kwargs["optimize"] = False
         try:
-            return own(with_tensors(dict), *args, **kwargs)
+            with thread_for_files():
+                return own(with_tensors(dict), *args, **kwargs)
         except RuntimeError as error:
             message = _plain(str(error))
             if message is None:
