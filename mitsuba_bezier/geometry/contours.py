@@ -83,7 +83,8 @@ class _Facing:
 
     def at(self, nets: np.ndarray, uv: np.ndarray) -> np.ndarray:
         """Return values ``(N,)`` of `nets`, rows of those of the patches, each where it says."""
-        return np.asarray(_determinant(*(np.einsum("nk,nkc->nc", b, nets) for b in self._bases(uv))))
+        x, xu, xv = (np.einsum("nk,nkc->nc", b, nets) for b in self._bases(uv))
+        return np.asarray(_determinant(x, xu, xv))
 
 
 def _determinant(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -262,7 +263,7 @@ def open_edges(patches: BezierTriangles, creases: bool = True) -> np.ndarray:
 
 
 def _nearest(p: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances of points ``(..., N, 3)`` from polylines ``(..., K, 3)``, and nodes there."""
+    """Return distances of points ``(..., N, 3)`` from polylines ``(..., K, 3)``, and nodes."""
     a, d = line[..., :-1, :], np.diff(line, axis=-2)
     rel = p[..., :, None, :] - a[..., None, :, :]
     square = np.maximum(np.einsum("...kc,...kc->...k", d, d), 1e-300)

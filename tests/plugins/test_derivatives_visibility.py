@@ -30,12 +30,40 @@ def test_contours_of_a_sphere(cover):
     eye = np.array([0.3, 0.2, 4.0])
     found = contour_segments(ball, eye)
     a, b = ball.points(found.patch, found.a), ball.points(found.patch, found.b)
-    # points of the polar plane of the eye; 1e-8: thirty bisections of an edge of 1/48
+    # points of the polar plane of the eye; 1e-8: 1e-10 of an edge of 1/48, in parameters
     assert np.abs(a @ eye - 1).max() < 1e-8 and np.abs(b @ eye - 1).max() < 1e-8
     length = 2 * np.pi * np.sqrt(1 - 1 / (eye @ eye))
     # chords of some degrees are shorter than their arcs by a few 1e-5
     assert np.linalg.norm(a - b, axis=1).sum() == pytest.approx(length, rel=1e-4)
     assert not found.is_edge.any()
+
+
+@pytest.mark.parametrize("cover", ["octants", "tetrahedral"])
+def test_from_within_a_sphere_has_no_contour(cover):
+    # at collapsed edges the facing is a rounding of either sign; ends there must still coincide
+    assert len(contour_segments(mb.sphere(cover=cover), np.array([0.0, 0.0, 0.1]))) == 0
+
+
+def test_contours_do_not_depend_on_a_common_factor():
+    ball, eye = mb.torus(), np.array([0.3, 4.0, 1.5])
+    plain = contour_segments(ball, eye)
+    # the facing is a product of three: of 1e-120 it is below all numbers
+    small = contour_segments(mb.BezierTriangles(ball.control_points * 2.0**-400), eye)
+    assert len(plain) > 100 and np.array_equal(plain.a, small.a)
+
+
+def test_creases_are_told_for_all_edges_at_once(monkeypatch):
+    from mitsuba_bezier.geometry import contours
+
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    faces = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (2, 3, 6, 7), (0, 2, 4, 6), (1, 3, 5, 7)]
+    rows = np.array([corners[list(t)] for a, b, c, d in faces for t in ((a, b, c), (b, d, c))])
+    cube = mb.BezierTriangles(np.concatenate([rows, np.ones((12, 3, 1))], axis=2))
+    whole = contours.open_edges(cube)
+    assert len(whole) == 12  # creases; the diagonals of the faces are smooth
+    assert len(contours.open_edges(cube, creases=False)) == 0
+    monkeypatch.setattr(contours, "_CHUNK", 5)
+    assert np.array_equal(contours.open_edges(cube), whole)
 
 
 def test_open_edges_and_creases():
