@@ -293,7 +293,7 @@ def _are_creases(
             uv = start + (steps / 64)[..., None] * (end - start)
             patch = np.repeat(edge // 3, len(_AT))
             normals.append(patches.normals(patch, uv.reshape(-1, 2)).reshape(uv.shape[0], -1, 3))
-        sine = np.linalg.norm(np.cross(*normals), axis=-1)
+        sine = np.linalg.norm(np.cross(normals[0], normals[1]), axis=-1)
         cosine = np.einsum("nki,nki->nk", *normals)
         # the nearest node of the other polyline may be 1/64 of the edge away
         crease[begin : begin + _CHUNK] = ((sine > _CREASE + 0.05) | (cosine < 0)).any(axis=1)

@@ -114,3 +114,36 @@ def test_the_lens_of_the_photograph_has_the_faults_and_the_others_are_those_pres
         value = np.array(item.value({k: mi.TensorXf(v) for k, v in item.start().items()}))
         assert np.array_equal(value, np.array(params[key]))
         assert (value != np.array(right[key])).sum() == 1
+
+
+def test_pytorch_gets_the_gradient_that_there_is_without_it():
+    torch = pytest.importorskip("torch")
+    import drjit as dr
+
+    import mitsuba_bezier as mb
+
+    example = script("fit_torch")
+    side, spp, item = 6, 16, fit.Sphere((0.1, 0.0, 0.2), 0.9)
+    weights = np.random.default_rng(0).standard_normal((side, side, 3)).astype(np.float32)
+    integrator = mi.load_dict({"type": "bezier_direct_projective", "sppi": 0, "spps": 0})
+    start = item.start()
+
+    inputs = {k: torch.tensor(v, dtype=torch.float32, requires_grad=True) for k, v in start.items()}
+    render = example.renderer(example.scene_of(mb.sphere(), side), item, integrator, spp)
+    image = render(inputs["center"], inputs["logarithm"], 3)
+    (image * torch.from_numpy(weights)).sum().backward()
+
+    scene = example.scene_of(mb.sphere(), side)
+    params = mi.traverse(scene)
+    own = {k: mi.TensorXf(v) for k, v in start.items()}
+    dr.enable_grad(*own.values())
+    params[example.KEY] = item.value(own)
+    params.update()
+    native = mi.render(scene, params, integrator=integrator, spp=spp, seed=6, seed_grad=7)
+    dr.backward(dr.sum(native * mi.TensorXf(weights), axis=None))
+    np.testing.assert_allclose(image.detach().numpy(), np.array(native), rtol=1e-6)
+    for name in start:
+        expected = np.array(dr.grad(own[name]))
+        assert np.abs(expected).max() > 0.01
+        # the same sums in float32, added by threads in another order
+        np.testing.assert_allclose(inputs[name].grad.numpy(), expected, rtol=1e-3, atol=1e-3)

@@ -13,6 +13,7 @@ from ..offsets import spawn_ray
 from ..scene import SceneRays
 from .chains import Bend, Chains, Vertex, has_delta, what_moves
 from .emitters import EmitterSampling, LightSample
+from .last_rays import all_end_at_once, emitters_can_be_met, goes_on, run
 from .path_tracing import mis_weight, russian_roulette, skip_emitters
 from .shadow_edges import shadow_edge
 
@@ -85,7 +86,8 @@ def _replay(
     emitters = EmitterSampling(rays)
     context = mi.BSDFContext()
     max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
-    hide = integrator.hide_emitters
+    hide, lights_met = integrator.hide_emitters, emitters_can_be_met(scene)
+    once = all_end_at_once(scene, max_depth, lights_met)
 
     ray = mi.Ray3f(dr.detach(ray))
     active = mi.Bool(active)
@@ -122,15 +124,17 @@ def _replay(
             si, p_err = chains.meet(hit, ray, attached, arrived, active)
 
         # ---- emission met by the BSDF's sample
-        emitter = si.emitter(scene, active)
-        ds = mi.DirectionSample3f(scene, si=dr.detach(si), ref=prev)
-        emits = active & (emitter != None)  # noqa: E711
-        if hide:
-            emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
-        pdf = emitters.pdf(prev, ds, dr.detach(si), hit, emits & ~arrived)
-        weight = mis_weight(st["prev_pdf"], pdf)
-        with dr.resume_grad():
-            emitted = dr.select(emits, throughput * ds.emitter.eval(si, emits) * weight, 0.0)
+        emitted = mi.Spectrum(0.0)
+        if lights_met:
+            emitter = si.emitter(scene, active)
+            ds = mi.DirectionSample3f(scene, si=dr.detach(si), ref=prev)
+            emits = active & (emitter != None)  # noqa: E711
+            if hide:
+                emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
+            pdf = emitters.pdf(prev, ds, dr.detach(si), hit, emits & ~arrived)
+            weight = mis_weight(st["prev_pdf"], pdf)
+            with dr.resume_grad():
+                emitted = dr.select(emits, throughput * ds.emitter.eval(si, emits) * weight, 0.0)
 
         active_next = active & (st["depth"] + 1 < max_depth) & si.is_valid()
         bsdf = si.bsdf(ray)
@@ -173,13 +177,16 @@ def _replay(
         throughput, survives = russian_roulette(
             sampler, throughput, eta, depth >= rr_depth, active_next
         )
-        active_next = active_next & survives
+        active_next = goes_on(active_next & survives, depth, max_depth, null, lights_met)
 
         # ---- derivatives
-        next_hit = rays.preliminary(next_ray, False, active_next)
-        following = rays.surface_interaction(
-            next_hit, next_ray, mi.RayFlags.Minimal | mi.RayFlags.DetachShape, active_next
-        )
+        if once:
+            next_hit, following = hit, dr.zeros(mi.SurfaceInteraction3f)
+        else:
+            next_hit = rays.preliminary(next_ray, False, active_next)
+            following = rays.surface_interaction(
+                next_hit, next_ray, mi.RayFlags.Minimal | mi.RayFlags.DetachShape, active_next
+            )
         met = active_next & following.is_valid()
         bend = Bend(active_next & ideal, sample1, sample2, met, following.p)
         with dr.resume_grad():
@@ -230,9 +237,7 @@ def _replay(
         )
 
     try:
-        (state,) = dr.while_loop(
-            (state,), cond=lambda st: st["active"], body=body, label=f"bezierpath ({mode.name})"
-        )
+        state = run(state, body, once, f"bezierpath ({mode.name})")
     except RuntimeError as error:
         if isinstance(error.__cause__, BezierError):
             raise error.__cause__ from None

@@ -11,6 +11,7 @@ from ..interaction import Preliminary
 from ..offsets import spawn_ray
 from ..scene import SceneRays
 from .emitters import EmitterSampling
+from .last_rays import all_end_at_once, emitters_can_be_met, goes_on, run
 
 __all__ = ["mis_weight", "russian_roulette", "skip_emitters", "trace"]
 
@@ -100,7 +101,7 @@ def trace(
     emitters = EmitterSampling(rays)
     context = mi.BSDFContext()
     max_depth, rr_depth = integrator.max_depth, integrator.rr_depth
-    hide = integrator.hide_emitters
+    hide, met = integrator.hide_emitters, emitters_can_be_met(scene)
 
     ray = mi.Ray3f(dr.detach(ray))
     active = mi.Bool(active)
@@ -108,6 +109,7 @@ def trace(
         return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray))
     if hide and start is None and isinstance(vertices, int):
         ray = skip_emitters(rays, ray, active)
+    once = all_end_at_once(scene, max_depth, met)
 
     state = {
         "ray": ray,
@@ -128,25 +130,29 @@ def trace(
         ray, sampler, active = st["ray"], st["sampler"], st["active"]
         if start is None:
             hit = rays.preliminary(ray, False, active)
+        elif once:
+            hit = start
         else:
             first = st["depth"] == vertices
             hit = dr.select(first, start, rays.preliminary(ray, False, active & ~first))
         si, p_err = rays.meet(hit, ray, mi.RayFlags.All, active)
 
         # ---- emission met by the BSDF's sample
-        emitter = si.emitter(scene, active)
-        prev = dr.zeros(mi.SurfaceInteraction3f)
-        prev.p, prev.n, prev.time = st["prev_si"].p, st["prev_si"].n, st["prev_si"].time
-        prev.wavelengths = st["prev_si"].wavelengths
-        ds = mi.DirectionSample3f(scene, si=si, ref=prev)
-        emits = active & (emitter != None)  # noqa: E711
-        if hide:
-            emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
-        pdf = emitters.pdf(prev, ds, si, hit, emits & ~st["prev_delta"])
-        weight = mis_weight(st["prev_pdf"], pdf)
-        result = st["result"] + dr.select(
-            emits, st["throughput"] * ds.emitter.eval(si, emits) * weight, 0.0
-        )
+        result = st["result"]
+        if met:
+            emitter = si.emitter(scene, active)
+            prev = dr.zeros(mi.SurfaceInteraction3f)
+            prev.p, prev.n, prev.time = st["prev_si"].p, st["prev_si"].n, st["prev_si"].time
+            prev.wavelengths = st["prev_si"].wavelengths
+            ds = mi.DirectionSample3f(scene, si=si, ref=prev)
+            emits = active & (emitter != None)  # noqa: E711
+            if hide:
+                emits = emits & ~((st["depth"] == 0) & ~si.is_valid())
+            pdf = emitters.pdf(prev, ds, si, hit, emits & ~st["prev_delta"])
+            weight = mis_weight(st["prev_pdf"], pdf)
+            result = result + dr.select(
+                emits, st["throughput"] * ds.emitter.eval(si, emits) * weight, 0.0
+            )
 
         active_next = active & (st["depth"] + 1 < max_depth) & si.is_valid()
         bsdf = si.bsdf(ray)
@@ -187,7 +193,7 @@ def trace(
                 "eta": eta,
                 "depth": depth,
                 "valid": valid,
-                "active": active_next & survives,
+                "active": goes_on(active_next & survives, depth, max_depth, null, met),
                 "prev_si": prev_si,
                 "prev_pdf": sample.pdf,
                 "prev_delta": mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),
@@ -195,5 +201,5 @@ def trace(
             },
         )
 
-    (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label="bezierpath")
+    state = run(state, body, once, "bezierpath")
     return state["result"], state["valid"]
