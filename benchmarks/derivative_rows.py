@@ -1,4 +1,4 @@
-"""The sixteen situations of `derivatives.py`: a scene, what moves in it, and who differentiates it.
+"""The situations of `derivatives.py`: a scene, what moves in it, and who differentiates it.
 
 Small scenes, without what a row is not about: where outlines are no subject, none is in the image.
 """
@@ -139,6 +139,19 @@ def _by_net(scene: Any, scale: Any = (0.3, 0.3, 0.3, 0), key: str = "surface") -
 
     def move(e: Any) -> None:
         params[key] = _tensor(net) + e * _tensor(change)
+        params.update()
+
+    return move
+
+
+def _by_growth(scene: Any) -> Move:
+    """Return growth of a net about the origin."""
+    params = mi.traverse(scene)
+    net = np.array(params["surface.control_points"])
+    change = net * (1, 1, 1, 0)
+
+    def move(e: Any) -> None:
+        params["surface.control_points"] = _tensor(net) + e * _tensor(change)
         params.update()
 
     return move
@@ -387,6 +400,14 @@ SITUATIONS = [
         _with(lambda scene: _by_value(scene, "surface.interior_medium.sigma_t"), _fog),
         0.2,
         4096,
+        {"type": "beziervolpath", "max_depth": 6, "rr_depth": 20},
+    ),
+    Situation(
+        "boundary of a medium",
+        "net",
+        _with(_by_growth, _fog),
+        0.04,
+        8192,
         {"type": "beziervolpath", "max_depth": 6, "rr_depth": 20},
     ),
     Situation(

@@ -1,4 +1,4 @@
-"""Derivatives in sixteen situations, forward and reverse, against central differences.
+"""Derivatives in seventeen situations, forward and reverse, against central differences.
 
     python benchmarks/derivatives.py [--rows NAME,...] [--seeds 6] [--spp 1.0] [--json FILE]
 

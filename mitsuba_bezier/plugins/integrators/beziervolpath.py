@@ -15,8 +15,9 @@ from ..scene import SceneRays
 from .chains import has_delta
 from .depths import check_depths
 from .emitters import EmitterSampling
-from .media import Media, flight_channel, flight_weight, hit_distance, transmittance
+from .media import Media, as_reference, flight_channel, flight_weight, hit_distance, transmittance
 from .medium_adjoint import MediumAdjoint
+from .medium_boundary import Crossing, medium_boundary_image
 from .path_replay import relative
 from .path_tracing import mis_weight, russian_roulette
 
@@ -57,8 +58,9 @@ def make_volpath_class() -> type:
         taken by the formula, not by chance; the colour that chooses a distance is drawn for each
         flight, not for each path; and hidden emitters let rays pass inside of media, too.
 
-        Derivatives by path replay have the estimator of `prbvolpath`: by media,
-        materials and lights. By what moves they are refused.
+        Derivatives by path replay have the estimator of `prbvolpath`: by media, materials and
+        lights, and by shapes with a `null` BSDF, which bound media. By other shapes that move
+        they are refused.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -85,14 +87,47 @@ def make_volpath_class() -> type:
         ) -> tuple[Any, ...]:
             """Trace paths; see `ADIntegrator.sample` in Mitsuba for the interface."""
             if mode == dr.ADMode.Primal:
-                L, valid = _trace(self, scene, sampler, ray, active, self._sensor_medium)
+                L, valid = trace_media(self, scene, sampler, ray, active, self._sensor_medium)
                 return L, valid, [], L
             adjoint = MediumAdjoint(scene, mode)
             with SceneRays(scene).attach(mode):
-                δL, valid = _trace(
+                δL, valid = trace_media(
                     self, scene, sampler, ray, active, self._sensor_medium, adjoint, δL, state_in
                 )
             return δL, valid, [], state_in
+
+        def _boundaries(self, scene: Any, sensor: Any, seed: Any, spp: int) -> Any:
+            """Return an image with the derivatives of what is scattered where boundaries move."""
+            return medium_boundary_image(self, trace_media, scene, sensor, seed, spp)
+
+        def render_forward(
+            self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        ) -> Any:
+            """Return the derivative of the image; see `ADIntegrator.render_forward`."""
+            out = super().render_forward(scene, params, sensor, seed, spp)
+            image = self._boundaries(scene, sensor, seed, spp)
+            if image is not None and dr.grad_enabled(image):
+                dr.forward_to(image, flags=dr.ADFlag.ClearNone)
+                out = out + dr.grad(image)
+            return out
+
+        def render_backward(
+            self,
+            scene: Any,
+            params: Any,
+            grad_in: Any,
+            sensor: Any = 0,
+            seed: Any = 0,
+            spp: int = 0,
+        ) -> None:
+            """Accumulate derivatives in the parameters; see `ADIntegrator.render_backward`."""
+            super().render_backward(scene, params, grad_in, sensor, seed, spp)
+            image = self._boundaries(scene, sensor, seed, spp)
+            if image is not None and dr.grad_enabled(image):
+                dr.set_grad(image, grad_in)
+                dr.enqueue(dr.ADMode.Backward, image)
+                dr.traverse(dr.ADMode.Backward)
+            dr.eval()
 
         def to_string(self) -> str:
             return (
@@ -103,14 +138,7 @@ def make_volpath_class() -> type:
     return BezierVolPath
 
 
-def _as_reference(p: Any, n: Any, like: Any) -> Any:
-    """Return the point of a scattering event, as emitter sampling takes it."""
-    ref = dr.zeros(mi.Interaction3f)
-    ref.p, ref.n, ref.time, ref.wavelengths = p, n, like.time, like.wavelengths
-    return ref
-
-
-def _trace(
+def trace_media(
     integrator: Any,
     scene: Any,
     sampler: Any,
@@ -120,11 +148,14 @@ def _trace(
     adjoint: MediumAdjoint | None = None,
     δL: Any = None,
     radiance: Any = None,
+    start: dict[str, Any] | None = None,
+    crossing: Crossing | None = None,
 ) -> tuple[Any, Any]:
     """Trace one path a lane; return its radiance and whether it met anything.
 
     With `adjoint` the paths of `radiance` are traced again, and differentiated: what is returned
-    is then the derivative of the radiance (Forward), or `δL` (Backward).
+    is then the derivative of the radiance (Forward), or `δL` (Backward). `start` has what paths do
+    not begin with as those of the sensor do; `crossing` keeps one boundary that a path crosses.
     """
     rays = SceneRays(scene)
     emitters = EmitterSampling(rays)
@@ -137,12 +168,12 @@ def _trace(
     ray = mi.Ray3f(dr.detach(ray))
     if max_depth == 0:
         return mi.Spectrum(0.0), dr.zeros(mi.Bool, dr.width(ray))
-    start = dr.zeros(mi.MediumPtr) if sensor_medium is None else mi.MediumPtr(sensor_medium)
+    first = dr.zeros(mi.MediumPtr) if sensor_medium is None else mi.MediumPtr(sensor_medium)
     state = {
         "ray": ray,
         "hit": Preliminary.miss(),
         "search": mi.Bool(True),  # the next hit of the ray is not known yet
-        "medium": start,
+        "medium": first,
         "throughput": mi.Spectrum(1.0),
         "result": mi.Spectrum(0.0),
         "eta": mi.Float(1.0),
@@ -155,6 +186,9 @@ def _trace(
         "direct": mi.Bool(True),  # emitters met now cannot have been sampled from there
         "sampler": sampler,
     }
+    state |= start or {}
+    if crossing is not None:
+        state["crossing"] = crossing
     if adjoint is not None:  # what is to come, and the derivative
         state["result"] = mi.Spectrum(radiance)
         state["derivative"] = mi.Spectrum(0.0 if δL is None else δL)
@@ -164,6 +198,7 @@ def _trace(
         active, depth, throughput = st["active"], st["depth"], st["throughput"]
         collides = scatters = mi.Bool(False)
         before = st["result"]
+        more: dict[str, Any] = {}
 
         # ---- a flight through the medium, up to the next surface at the most
         if media:
@@ -220,13 +255,16 @@ def _trace(
 
         # ---- a sample of the emitters, from a surface or from inside of a medium
         asks = bounces & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & (depth + 1 < max_depth)
-        ref = _as_reference(si.p, si.n, ray)
+        ref = as_reference(si.p, si.n, ray)
         if media:
             asks = asks | (scatters & medium.use_emitter_sampling())
             ref.p, ref.n = dr.select(scatters, mei.p, si.p), dr.select(scatters, 0.0, si.n)
         ds, em_weight, end_err, end = emitters.sample_hit(ref, sampler.next_2d(asks), asks)
         asks = asks & (ds.pdf != 0.0)
         crosses = surface & si.is_medium_transition()
+        if crossing is not None:  # without lights: that is all it is for
+            asks = mi.Bool(False)
+            more["crossing"] = st["crossing"].kept(ray, hit, medium, throughput, depth, crosses)
         into = dr.select(crosses, si.target_medium(ds.d), medium)
         shadow = spawn_ray_to(ref, p_err, ds.p, ds.n, end_err)
         again = None if adjoint is None else sampler.clone()
@@ -264,6 +302,10 @@ def _trace(
                 terms = [dr.select(emits, carried * emitter.eval(seen_si, emits), 0.0)]
                 if media:
                     terms.append(before * adjoint.flight(*flight))
+                if media and adjoint.boundaries:
+                    there = dr.detach(si)
+                    moved = adjoint.crossing(rays, hit, ray, there, medium, crosses)
+                    terms.append(result * moved)
                 lit = adjoint.light(rays, si, scatters, ref, ds, end, em_weight, asks)
                 seen = bsdf.eval(context, si, wo, asks & ~scatters)
                 leaves = bsdf.eval(context, si, sample.wo, bounces)
@@ -300,7 +342,8 @@ def _trace(
         active = (turns | passes | (active & collides)) & (depth < max_depth)
         plays = active & (depth > rr_depth)
         throughput, survives = russian_roulette(sampler, throughput, eta, plays, plays)
-        more = {} if adjoint is None else {"derivative": dr.detach(derivative)}
+        if adjoint is not None:
+            more["derivative"] = dr.detach(derivative)
         return (
             {
                 "ray": ray,
@@ -323,4 +366,6 @@ def _trace(
 
     label = "beziervolpath"
     (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label=label)
+    if crossing is not None:
+        return state["crossing"], state["valid"]
     return state["result" if adjoint is None else "derivative"], state["valid"]

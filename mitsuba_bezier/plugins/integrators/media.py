@@ -20,6 +20,9 @@ from ..scene import SceneRays
 
 __all__ = [
     "Media",
+    "as_reference",
+    "collision_at",
+    "extinction_step",
     "flight_channel",
     "flight_weight",
     "hit_distance",
@@ -101,6 +104,7 @@ def transmittance(
     active: Any,
     reach: Any = None,
     adjoint: Any = None,
+    boundaries: bool = False,
 ) -> Any:
     """Return what of the light gets along rays, through media and index-matched surfaces.
 
@@ -122,6 +126,8 @@ def transmittance(
     adjoint : callable, optional
         Takes derivatives of a part of the way: called with its weights by colour, and the sum of
         what earlier calls returned. That sum is then returned in place of the rest.
+    boundaries : bool
+        Whether boundaries have derivatives, which `adjoint` is to get.
 
     Returns
     -------
@@ -188,6 +194,11 @@ def transmittance(
             passed = si.bsdf(ray).eval_null_transmission(si, surface)
             if adjoint is not None:
                 parts.append(dr.select(surface, mi.unpolarized_spectrum(passed), 1.0))
+            if boundaries and media:
+                crosses = surface & si.is_medium_transition()
+                step = extinction_step(medium, si.target_medium(ray.d), si, ray, crosses)
+                t = rays.surface_interaction(hit, ray, mi.RayFlags.All, crosses).t
+                parts.append(1 - step * dr.replace_grad(mi.Float(0), t))
         passed = dr.detach(passed)
         passed = si.to_world_mueller(passed, si.wi, si.wi)
         through = dr.select(surface, through * passed, through)
@@ -219,6 +230,32 @@ def transmittance(
     label = "beziervolpath: transmittance"
     (state,) = dr.while_loop((state,), cond=lambda st: st["active"], body=body, label=label)
     return state["through"] if adjoint is None else state["sum"]
+
+
+def as_reference(p: Any, n: Any, like: Any) -> Any:
+    """Return the point of a scattering event, as emitter sampling takes it."""
+    ref = dr.zeros(mi.Interaction3f)
+    ref.p, ref.n, ref.time, ref.wavelengths = p, n, like.time, like.wavelengths
+    return ref
+
+
+def collision_at(medium: Any, si: Any, ray: Any, active: Any) -> Any:
+    """Return a collision at the point of an interaction, with the coefficients there."""
+    mei = dr.zeros(mi.MediumInteraction3f, dr.width(si.p))
+    mei.p, mei.t, mei.medium = si.p, si.t, medium
+    mei.wi, mei.sh_frame = -ray.d, mi.Frame3f(-ray.d)
+    mei.time, mei.wavelengths = ray.time, ray.wavelengths
+    return with_coefficients(medium, mei, active & (medium != None))  # noqa: E711
+
+
+def extinction_step(before: Any, beyond: Any, si: Any, ray: Any, active: Any) -> Any:
+    """Return by how much the extinction is larger before a boundary than beyond it."""
+    step = mi.UnpolarizedSpectrum(0.0)
+    for medium, sign in ((before, 1.0), (beyond, -1.0)):
+        inside = active & (medium != None)  # noqa: E711
+        mei = collision_at(medium, si, ray, inside)
+        step += dr.select(inside, sign * dr.detach(mei.sigma_t), 0.0)
+    return step
 
 
 def with_coefficients(medium: Any, mei: Any, active: Any) -> Any:

@@ -15,22 +15,46 @@ import mitsuba as mi
 from ...errors import BezierError
 from ..native.originals import original
 from ..scene import SceneRays
+from .chains import with_derivatives
 from .left_out import checked_parameters
-from .media import Media, transmittance, transmittance_by_colour, with_coefficients
+from .media import (
+    Media,
+    extinction_step,
+    transmittance,
+    transmittance_by_colour,
+    with_coefficients,
+)
 from .path_replay import relative
 
-__all__ = ["MediumAdjoint"]
+__all__ = ["MediumAdjoint", "boundaries_move"]
 
 
-def _turning(found: list[tuple[str, Any, Any]]) -> list[str]:
-    """Return the names of parameters that move what rays meet, or rays."""
-    turning = []
+def is_boundary(node: Any) -> bool:
+    """Return whether light passes a shape as if it was not there, but for its media."""
+    if not isinstance(node, mi.Shape) or node.is_emitter() or node.is_sensor():
+        return False
+    flags, kinds = node.bsdf().flags(), mi.BSDFFlags
+    others = kinds.Smooth, kinds.DeltaReflection, kinds.DeltaTransmission
+    return mi.has_flag(flags, kinds.Null) and not any(mi.has_flag(flags, kind) for kind in others)
+
+
+def _turning(found: list[tuple[str, Any, Any]]) -> tuple[list[str], bool]:
+    """Return the names of parameters that move what rays meet, or rays; whether boundaries move."""
+    turning, boundaries = [], False
     for key, node, flags in found:
         delta = isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Delta)
         moves = isinstance(node, mi.Shape | mi.Emitter | mi.Sensor) or delta
         if moves and flags & mi.ParamFlags.Discontinuous:
-            turning.append(key)
-    return turning
+            if is_boundary(node):
+                boundaries = True
+            else:
+                turning.append(key)
+    return turning, boundaries
+
+
+def boundaries_move(scene: Any) -> bool:
+    """Return whether a boundary of media has derivatives."""
+    return any(is_boundary(node) for _key, node, _flags in with_derivatives(scene))
 
 
 class MediumAdjoint:
@@ -45,7 +69,8 @@ class MediumAdjoint:
     Raises
     ------
     BezierError
-        If something moves, and in polarized variants.
+        If something moves that is no boundary of media without a surface, and in polarized
+        variants.
     """
 
     def __init__(self, scene: Any, mode: Any) -> None:
@@ -53,12 +78,12 @@ class MediumAdjoint:
             raise BezierError.expected(
                 "beziervolpath", "a variant without polarization for derivatives", mi.variant()
             )
-        turning = _turning(checked_parameters("beziervolpath", scene))
+        turning, self.boundaries = _turning(checked_parameters("beziervolpath", scene))
         if turning:
             raise BezierError.expected(
                 "beziervolpath",
-                "derivatives by media, materials and lights only (bezierpath has those by what "
-                "moves, without media)",
+                "derivatives by media, materials, lights, and shapes with a null BSDF, which bound "
+                "media (bezierpath has those by other shapes that move, without media)",
                 ", ".join(turning),
             )
         self.scene, self.mode = scene, mode
@@ -99,6 +124,21 @@ class MediumAdjoint:
         )
         return dr.replace_grad(weight, value * dr.select(ds.pdf != 0, dr.rcp(ds.pdf), 0.0))
 
+    def crossing(
+        self, rays: SceneRays, hit: Any, ray: Any, si: Any, medium: Any, active: Any
+    ) -> Any:
+        """Return the relative change of the light beyond a boundary that moves along the ray.
+
+        It is what the way through the one medium becomes longer by, and that through the other
+        shorter. What the two scatter there is for `medium_boundary`.
+        """
+        beyond = si.target_medium(ray.d)
+        step = extinction_step(medium, beyond, si, ray, active)
+        with dr.resume_grad():
+            t = rays.surface_interaction(hit, ray, mi.RayFlags.All, active).t
+            change = -mi.Spectrum(step) * dr.replace_grad(mi.Float(0), t)
+            return dr.select(active, change, 0.0)
+
     def way(self, rays: SceneRays, media: Media, way: Any, direct: Any, derivative: Any) -> Any:
         """Differentiate what gets through to an emitter; return what that adds (Forward).
 
@@ -126,7 +166,9 @@ class MediumAdjoint:
                 dr.backward_from(derivative * change)
                 return total
 
-        total = transmittance(rays, media, ray, medium, sampler, active, reach, part)
+        total = transmittance(
+            rays, media, ray, medium, sampler, active, reach, part, self.boundaries
+        )
         return total if forward else mi.Spectrum(0.0)
 
     def add(self, derivative: Any, total: Any) -> Any:
