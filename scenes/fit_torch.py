@@ -31,33 +31,49 @@ CENTER, RADIUS = (0.25, -0.15, 0.0), 0.8
 
 
 def scene_of(patches: mb.BezierTriangles, side: int) -> Any:
-    """Return the scene: a ball in front of a camera, under a lamp."""
-    camera = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
+    """Return the scene: a ball under a lamp, seen by two cameras."""
     film = {"type": "hdrfilm", "width": side, "height": side, "rfilter": {"type": "box"}}
     film |= {"pixel_format": "rgb", "sample_border": False}
-    return mi.load_dict(
-        {
-            "type": "scene",
-            "camera": {"type": "perspective", "fov": 40, "to_world": camera, "film": film},
-            "lamp": {"type": "point", "position": [2, 3, 4], "intensity": 30.0},
-            "ball": mb.shape(patches),
+    cameras = {
+        f"camera{i}": {
+            "type": "perspective",
+            "fov": 40,
+            "to_world": mi.ScalarTransform4f().look_at(eye, [0, 0, 0], [0, 1, 0]),
+            "film": film,
         }
-    )
+        for i, eye in enumerate(([0, 0, 5], [5, 0, 0]))
+    }
+    lamp = {"type": "point", "position": [3, 3, 4], "intensity": 30.0}
+    return mi.load_dict({"type": "scene", **cameras, "lamp": lamp, "ball": mb.shape(patches)})
 
 
 def renderer(scene: Any, item: fit.Parametrization, integrator: Any, spp: int) -> Any:
-    """Return a function of PyTorch: unknowns and a seed give a picture."""
+    """Return a function of PyTorch: unknowns and the number of a step give a picture.
+
+    The cameras take turns.
+    """
     params = mi.traverse(scene)
 
     @dr.wrap(source="torch", target="drjit")
-    def render(center: Any, logarithm: Any, seed: int) -> Any:
+    def render(center: Any, logarithm: Any, step: int) -> Any:
         params[KEY] = item.value({"center": center, "logarithm": logarithm})
         params.update()
         return mi.render(
-            scene, params, integrator=integrator, spp=spp, seed=2 * seed, seed_grad=2 * seed + 1
+            scene,
+            params,
+            integrator=integrator,
+            sensor=step % 2,
+            spp=spp,
+            seed=2 * step,
+            seed_grad=2 * step + 1,
         )
 
     return render
+
+
+def layers(image: Any) -> Any:
+    """Return a picture as PyTorch has pictures: a batch of one, channels first."""
+    return image.permute(2, 0, 1)[None]
 
 
 def errors(unknowns: Any) -> tuple[float, float]:
@@ -73,10 +89,11 @@ def search(
     import torch
 
     exact = mi.load_dict({"type": "bezierpath", "max_depth": 2})
-    photograph = mi.render(
-        scene_of(mb.sphere(CENTER, RADIUS), side), integrator=exact, spp=64, seed=1000
-    )
-    target = torch.from_numpy(np.array(photograph)).permute(2, 0, 1)[None]
+    truth = scene_of(mb.sphere(CENTER, RADIUS), side)
+    targets = [
+        layers(torch.from_numpy(np.array(mi.render(truth, integrator=exact, sensor=i, spp=64))))
+        for i in range(2)
+    ]
 
     item = fit.Sphere()
     unknowns = {
@@ -90,11 +107,11 @@ def search(
     curve = [errors(unknowns)]
     for step in range(steps):
         optimizer.zero_grad()
-        image = render(unknowns["center"], unknowns["logarithm"], step).permute(2, 0, 1)[None]
+        image = layers(render(unknowns["center"], unknowns["logarithm"], step))
         loss = sum(
             torch.nn.functional.huber_loss(
                 torch.nn.functional.avg_pool2d(image, size),
-                torch.nn.functional.avg_pool2d(target, size),
+                torch.nn.functional.avg_pool2d(targets[step % 2], size),
                 delta=0.1,
             )
             for size in (1, 2, 4)

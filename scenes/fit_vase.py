@@ -1,6 +1,7 @@
 """Find a vase from ten photographs of it, by patches and by a mesh of as many unknowns.
 
     python scenes/fit_vase.py [--steps 200] [--side 64] [--out renders]
+    python scenes/fit_vase.py --refine --steps 120
 
 The photographs are renders of a vase of revolution, squeezed to one side. Both searches begin at
 the same cylinder, see the same photographs in the same order, and take steps of Adam with the
@@ -11,6 +12,10 @@ patches have unknowns, by Mitsuba's `direct_projective`.
 Writes ``fit_vase.jpg`` (rows: photographs, patches, mesh) and ``fit_vase.svg`` (distance from the
 true surface by processor time), and prints what was found. A search that was stopped goes on from
 ``--keep``.
+
+With ``--refine`` patches are compared with patches: eight, split into 32 after a third of the steps
+and raised to degree 4 after two, and the same net of degree 4 from the start. Writes
+``fit_refine.svg`` alone.
 """
 
 from __future__ import annotations
@@ -47,10 +52,10 @@ def target() -> mb.BezierTriangles:
     return mb.BezierTriangles.join(parts).transform(squeeze)
 
 
-def start() -> mb.BezierTriangles:
-    """Return a cylinder of 32 rational cubic triangles."""
+def start(heights: Any = HEIGHTS) -> mb.BezierTriangles:
+    """Return a cylinder of rational cubic triangles, eight between two heights."""
     parts = []
-    for low, high in pairwise(HEIGHTS):
+    for low, high in pairwise(heights):
         parts += [mb.tensor_to_triangles(net) for net in revolved([[0.5, low, 1], [0.5, high, 1]])]
     return mb.BezierTriangles.join(parts)
 
@@ -154,7 +159,14 @@ def mesh_samples(points: np.ndarray, faces: np.ndarray, count: int) -> np.ndarra
 
 
 def search(
-    name: str, scene: Any, key: str, item: Any, integrator: str, options: Any, measure: Any
+    name: str,
+    scene: Any,
+    key: str,
+    item: Any,
+    integrator: str,
+    options: Any,
+    measure: Any,
+    refine: dict[int, str] | None = None,
 ) -> tuple[fit.Fit, list[tuple[float, float]]]:
     """Return what was found, and the distance by seconds of processor time."""
     params = mi.traverse(scene)
@@ -181,11 +193,40 @@ def search(
         steps=options.steps,
         rate=options.rate,
         smoothing=options.smoothing,
+        refine=refine,
         checkpoint=None if options.keep is None else options.keep / f"vase_{name}.fit",
         callback=look,
         progress=False,
     )
     return found, curve
+
+
+def coarse_to_fine(options: Any, measure: Any) -> None:
+    """Compare nets that grow during the search with one that is fine from its start."""
+    coarse = start([-1.0, 1.0])
+    fine = coarse.split().elevate()
+    third = options.steps // 3
+    curves, counts = {}, {}
+    for name, patches, refine in (
+        ("coarse to fine", coarse, {third: "split", 2 * third: "elevate"}),
+        ("fine from the start", fine, None),
+    ):
+        scene = scene_of(mb.shape(patches, bsdf=bsdf()), options.side)
+        item = fit.Net(patches)
+        found, curves[name] = search(
+            name,
+            scene,
+            "vase.control_points",
+            item,
+            "bezier_direct_projective",
+            options,
+            measure,
+            refine,
+        )
+        counts[name] = sum(v.size for v in found.unknowns["vase.control_points"].values())
+        told = [f"{curves[name][i][1]:.4f}" for i in range(0, len(curves[name]), 4)]
+        print(f"{name}: {counts[name]} unknowns at the end, distances {', '.join(told)}")
+    write_file(options.out / "fit_refine.svg", draw(curves, counts), make_folders=True)
 
 
 def draw(curves: dict[str, list[tuple[float, float]]], counts: dict[str, int]) -> bytes:
@@ -257,6 +298,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=8)
     parser.add_argument("--rate", type=float, default=0.06)
     parser.add_argument("--smoothing", type=float, default=4.0)
+    parser.add_argument("--refine", action="store_true", help="compare coarse to fine")
     parser.add_argument("--variant", default="llvm_ad_rgb")
     parser.add_argument("--keep", type=Path, help="folder of checkpoints")
     parser.add_argument("--out", type=Path, default=Path("renders"))
@@ -273,6 +315,12 @@ def main() -> None:
         for i in range(VIEWS)
     ]
 
+    def patches_off(net: Any) -> float:
+        return distance(samples(mb.BezierTriangles(net), 20_000), tree)
+
+    if options.refine:
+        coarse_to_fine(options, patches_off)
+        return
     item = fit.Net(start())
     unknowns = sum(v.size for v in item.start().values())
     patches = scene_of(mb.shape(start(), bsdf=bsdf()), options.side)
@@ -283,7 +331,7 @@ def main() -> None:
         item,
         "bezier_direct_projective",
         options,
-        lambda net: distance(samples(mb.BezierTriangles(net), 20_000), tree),
+        patches_off,
     )
     points, faces = start_mesh(unknowns)
     mesh = mi.Mesh("vase", len(points), len(faces), props=_material())

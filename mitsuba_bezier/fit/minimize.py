@@ -187,7 +187,7 @@ def minimize(
         raise BezierError.expected("refine", "an unknown Net among the parameters", "none")
     for name, number in (("steps", steps), ("spp", spp)):
         if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or number < 1:
-            raise BezierError.expected(name, "a whole number above zero", number)
+            raise BezierError.expected(name, "a whole number above zero", repr(number))
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
         raise BezierError.expected("seed", "a whole number", repr(seed))
     for name, real in (("rate", rate), ("every", every)):
@@ -199,6 +199,10 @@ def minimize(
         method != "adam" or not isinstance(views, (int, np.integer)) or views < 1
     ):
         raise BezierError.expected("views", 'one or more, and method "adam"', views)
+    if scene is not None and not isinstance(scene, import_mitsuba().Scene):
+        raise BezierError.expected("scene", "a scene of mi.load_dict", type(scene).__name__)
+    if checkpoint is not None and not isinstance(checkpoint, (str, os.PathLike)):
+        raise BezierError.expected("checkpoint", "the name of a file", repr(checkpoint))
     for name, function in (("objective", objective), ("callback", callback)):
         if function is not None and not callable(function):
             raise BezierError.expected(name, "a function", repr(function))

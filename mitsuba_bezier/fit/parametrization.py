@@ -43,7 +43,7 @@ class Parametrization:
 
     def start(self) -> dict[str, np.ndarray]:
         """Return the unknowns, by name, at which a search begins."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no method start")
 
     def scales(self) -> dict[str, float]:
         """Return by name how large a change of an unknown is a large one; 1 where not given.
@@ -54,7 +54,7 @@ class Parametrization:
 
     def value(self, unknowns: Mapping[str, Any]) -> Any:
         """Return the parameter of the scene for unknowns given as tensors of Dr.Jit."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} has no method value")
 
     def laplacian(self, name: str) -> Any:
         """Return the sparse graph Laplacian that couples the rows of an unknown, or None."""

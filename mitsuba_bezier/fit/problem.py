@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -66,9 +67,7 @@ class Problem:
         self.params: Any = _Loose() if scene is None else import_mitsuba().traverse(scene)
         for key, item in unknowns.items():
             if scene is not None and key not in self.params:
-                near = ", ".join(
-                    k for k in dict(self.params.items()) if k.split(".")[-1] == key.split(".")[-1]
-                )
+                near = ", ".join(_near(str(key), list(dict(self.params.items()))))
                 raise BezierError.expected(
                     "unknowns", f"names of mi.traverse(scene){f' ({near})' if near else ''}", key
                 )
@@ -116,7 +115,7 @@ class Problem:
         parts = []
         for key, item in self.unknowns.items():
             scales = item.scales()
-            for name, array in item.start().items():
+            for name, array in _start_of(key, item).items():
                 end = begin + array.size
                 scale = scales.get(name, 1.0)
                 place = slice(begin, end)
@@ -160,10 +159,21 @@ class Problem:
             if grad:
                 dr.enable_grad(value)
             self.params[key] = value
-        self.params.update()
+        try:
+            self.params.update()
+        except RuntimeError as error:  # of Mitsuba's own objects
+            last = str(error).strip().split("\n")[-1]
+            names = ", ".join(self.unknowns)
+            raise BezierError.expected(names, "values that the scene takes", last) from None
 
     def _fitting(self, key: str, value: Any) -> Any:
         """Return a value as what the parameter of the scene is."""
+        import drjit as dr
+
+        if not dr.is_array_v(value) and not hasattr(value, "inverse_transpose"):
+            raise BezierError.expected(
+                f"unknowns[{key!r}].value", "an array of Dr.Jit", type(value).__name__
+            )
         if isinstance(self.params, _Loose):
             return value
         now = self.params[key]
@@ -209,6 +219,26 @@ class Problem:
                     g = np.array(dr.grad(inputs[name]), dtype=np.float64)
                     gradient[place] = scale * g.ravel()
         return total, gradient
+
+
+def _start_of(key: str, item: Parametrization) -> dict[str, np.ndarray]:
+    """Return the unknowns at which a parametrization begins, as arrays of finite numbers."""
+    name, start = f"unknowns[{key!r}].start", item.start()
+    if not isinstance(start, Mapping) or not start:
+        raise BezierError.expected(name, "a dict of names to arrays", repr(start)[:60])
+    try:
+        out = {k: np.array(v, dtype=np.float64) for k, v in start.items()}
+    except (TypeError, ValueError):
+        raise BezierError.expected(name, "arrays of numbers", repr(start)[:60]) from None
+    if not all(np.isfinite(v).all() for v in out.values()):
+        raise BezierError.expected(name, "finite numbers", "NaN or infinity")
+    return out
+
+
+def _near(key: str, names: list[str]) -> list[str]:
+    """Return names that may be meant: of the same parameter, else of a similar spelling."""
+    same = [name for name in names if name.split(".")[-1] == key.split(".")[-1]]
+    return same or get_close_matches(key, names, n=3, cutoff=0.5)
 
 
 class _Loose(dict[str, Any]):

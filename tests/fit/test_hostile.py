@@ -269,3 +269,69 @@ def test_a_step_that_is_halved_is_told_once() -> None:
         found = search(Fence([3.0, 4.0]), rate=0.2, steps=8)
     assert sum("halves" in str(w.message) for w in told) == 1
     assert found.halved >= 1 and found.values["own"].ravel()[0] >= 2
+
+
+class Own(fit.Parametrization):
+    """A parametrization of a user, with mistakes."""
+
+    def __init__(self, begin: Any, found: Any = None) -> None:
+        self.begin, self.found = begin, found
+
+    def start(self) -> Any:
+        return self.begin
+
+    def value(self, unknowns: Any) -> Any:
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("item", "says"),
+    [
+        (Own([1.0]), r"unknowns\['own'\].start: expected a dict"),
+        (Own({}), r"unknowns\['own'\].start: expected a dict"),
+        (Own({"x": ["a"]}), r"unknowns\['own'\].start: expected arrays of numbers"),
+        (Own({"x": [np.nan]}), r"unknowns\['own'\].start: expected finite numbers"),
+        (Own({"x": [1.0]}), r"unknowns\['own'\].value: expected an array of Dr.Jit, got NoneType"),
+        (
+            Own({"x": [1.0]}, 3.0),
+            r"unknowns\['own'\].value: expected an array of Dr.Jit, got float",
+        ),
+    ],
+)
+def test_mistakes_in_parametrizations_of_ones_own_are_told(item, says):
+    with pytest.raises(mb.BezierError, match=says):
+        search(item)
+
+
+def test_a_parametrization_may_begin_with_lists():
+    class Plain(fit.Parametrization):
+        def start(self) -> Any:
+            return {"x": [3, 4]}
+
+        def value(self, unknowns: Any) -> Any:
+            return unknowns["x"] + 0
+
+    assert search(Plain(), method="l-bfgs").values["own"] == pytest.approx([1, 1], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("key", "near"),
+    [("b.controlpoints", "b.control_points"), ("bal.control_points", "b.control_points")],
+)
+def test_names_that_may_be_meant_are_told(key, near):
+    with pytest.raises(mb.BezierError, match=near):
+        fit.minimize(scene_of(), {key: fit.Sphere()}, [np.zeros((8, 8, 3))])
+
+
+def test_numbers_that_an_object_of_mitsuba_refuses_are_an_error_that_names_it():
+    scene = mi.load_dict({"type": "scene", "b": {"type": "sphere", "bsdf": {"type": "diffuse"}}})
+    key = "b.bsdf.reflectance.value"  # uniform: one number
+    with pytest.raises(mb.BezierError, match=f"{key}: expected values that the scene takes"):
+        fit.minimize(scene, {key: fit.Values([0.2] * 3)}, objective=lambda p, _seed: p[key])
+
+
+def test_what_is_no_scene_and_no_name_of_a_file_is_told():
+    with pytest.raises(mb.BezierError, match=r"scene: expected a scene of mi\.load_dict, got dict"):
+        fit.minimize({"type": "scene"}, {KEY: fit.Sphere()}, [])
+    with pytest.raises(mb.BezierError, match="checkpoint: expected the name of a file, got 3"):
+        search(checkpoint=3)

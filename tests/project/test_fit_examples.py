@@ -139,7 +139,7 @@ def test_pytorch_gets_the_gradient_that_there_is_without_it():
     dr.enable_grad(*own.values())
     params[example.KEY] = item.value(own)
     params.update()
-    native = mi.render(scene, params, integrator=integrator, spp=spp, seed=6, seed_grad=7)
+    native = mi.render(scene, params, integrator=integrator, sensor=1, spp=spp, seed=6, seed_grad=7)
     dr.backward(dr.sum(native * mi.TensorXf(weights), axis=None))
     np.testing.assert_allclose(image.detach().numpy(), np.array(native), rtol=1e-6)
     for name in start:
