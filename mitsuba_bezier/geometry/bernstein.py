@@ -253,23 +253,8 @@ def partials_matrices(n: int) -> tuple[np.ndarray, np.ndarray]:
     return du, dv
 
 
-def _de_casteljau_matrix(n: int, uvw: np.ndarray) -> np.ndarray:
-    """Return one de Casteljau step as a matrix ``(K_{n-1}, K_n)``."""
-    out = np.zeros((size(n - 1), size(n)))
-    for r, (i, j, _k) in enumerate(multi_indices(n - 1)):
-        out[r, row(n, i + 1, j)] += uvw[0]
-        out[r, row(n, i, j + 1)] += uvw[1]
-        out[r, row(n, i, j)] += uvw[2]
-    return out
-
-
-#: Up to this degree steps of de Casteljau are products of matrices. Their rows have three entries
-#: each, so that at degree 20 those products take a hundred times as long as sums of rows.
-_DENSE = 10
-
-
 def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
-    """Return the ``(K, K)`` matrix that takes a net to the net over a domain triangle.
+    """Return the ``(..., K, K)`` matrices that take a net to the nets over domain triangles.
 
     Row ``(i, j, k)`` is the blossom value ``b[A^i, B^j, C^k]`` (Ramshaw), so every net
     coefficient is an affine combination of the old ones.
@@ -278,90 +263,70 @@ def subdivision_matrix(n: int, corners: np.ndarray) -> np.ndarray:
     ----------
     n : int
         Degree.
-    corners : (3, 3) array
+    corners : (..., 3, 3) array
         Barycentric coordinates of the new corners ``A``, ``B``, ``C``, one a row; each row
         sums to 1 for an affine change and may have any non-zero sum for a projective one.
     """
+    # rows are the coefficients of products ``A^i B^j C^k`` of linear forms, those of one degree
+    # after the other: each is one of the degree before, times one form
     corners = np.asarray(corners, dtype=np.float64)
-    if n > _DENSE:
-        return _expanded(n, corners)
-    steps = [[_de_casteljau_matrix(m, c) for c in corners] for m in range(1, n + 1)]
-
-    @cache
-    def blossom(i: int, j: int, k: int) -> np.ndarray:
-        m = i + j + k  # rows: the net of degree n reduced by m arguments
-        if m == 0:
-            return np.eye(size(n))
-        which = 0 if i else (1 if j else 2)
-        rest = blossom(i - (which == 0), j - (which == 1), k - (which == 2))
-        return steps[n - m][which] @ rest
-
-    return np.concatenate([blossom(int(i), int(j), int(k)) for i, j, k in multi_indices(n)])
+    out = np.ones((*corners.shape[:-2], 1, 1))
+    for m in range(1, n + 1):
+        which, before, above = _products(m)
+        form, lower = corners[..., which, :], out[..., before, :]
+        out = np.zeros((*corners.shape[:-2], size(m), size(m)))
+        for c in range(3):
+            out[..., above[c]] += form[..., c, None] * lower
+    return out
 
 
-def _expanded(n: int, corners: np.ndarray) -> np.ndarray:
-    """Return the same matrix by expanding products ``A^i B^j C^k`` of linear forms.
+@cache
+def _products(m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how products of `m` linear forms follow from those of ``m - 1``.
 
-    The entries are their coefficients, those of ``u^p v^q`` in arrays ``(p, q)``.
+    Returns
+    -------
+    which, before : (K_m,) arrays
+        The form that is new, and the row of the others.
+    above : (3, K_{m-1}) array
+        Where the terms of the others go, times each of the three variables.
     """
-    powers = []
-    for a, b, c in corners.tolist():
-        power = [np.ones((1, 1))]
-        for m in range(1, n + 1):
-            following = np.zeros((m + 1, m + 1))
-            following[1:, :-1] += a * power[-1]
-            following[:-1, 1:] += b * power[-1]
-            following[:-1, :-1] += c * power[-1]
-            power.append(following)
-        powers.append(power)
-    places = multi_indices(n)[:, 0], multi_indices(n)[:, 1]
-    out = np.empty((size(n), size(n)))
-    first: dict[tuple[int, int], np.ndarray] = {}
-    for r, (i, j, k) in enumerate(multi_indices(n).tolist()):
-        if (i, j) not in first:
-            first[i, j] = _product(powers[0][i], powers[1][j])
-        out[r] = _product(first[i, j], powers[2][k])[places]
-    return out
+    i, j, _k = multi_indices(m).T
+    which = np.where(i > 0, 0, np.where(j > 0, 1, 2))
+    level = m - 1 - (i - (which == 0))
+    before = level * (level + 1) // 2 + level - (j - (which == 1))
+    i, j, _k = multi_indices(m - 1).T
+    level = m - i - np.array([[1], [0], [0]])
+    above = level * (level + 1) // 2 + level - j - np.array([[0], [1], [0]])
+    return which, before, above
 
 
-def _product(f: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return the coefficients of a product of polynomials in two variables."""
-    out = np.zeros((len(f) + len(g) - 1,) * 2)
-    if np.count_nonzero(g) > np.count_nonzero(f):
-        f, g = g, f
-    for p, q in np.argwhere(g).tolist():
-        out[p : p + len(f), q : q + len(f)] += g[p, q] * f
-    return out
-
-
-def subdivide(net: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the nets over domain triangles, as `subdivision_matrix`, but without a matrix.
+def subdivide(nets: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Return nets over domain triangles, as `subdivision_matrix`, of all of which that is large.
 
     Parameters
     ----------
-    net : (K, C) array
+    nets : (P, K, C) array
     corners : (T, 3, 3) array
         Barycentric coordinates of the new corners, one a row, of each triangle.
 
     Returns
     -------
-    (T, K, C) array
+    (P, T, K, C) array
     """
-    n = degree_of(len(net))
-    corners = np.asarray(corners, dtype=np.float64)
-    partial = {(0, 0, 0): np.broadcast_to(net, (len(corners), *net.shape))}
-    for m in range(1, n + 1):  # m arguments of the blossom are given, n - m are left
-        i, j, _k = multi_indices(n - m).T
-        above = [[row(n - m + 1, a + x, b + y) for a, b in zip(i.tolist(), j.tolist())]
-                 for x, y in ((1, 0), (0, 1), (0, 0))]  # fmt: skip
-        following = {}
-        for given in map(tuple, multi_indices(m).tolist()):
-            which = next(c for c in range(3) if given[c])
-            before = partial[tuple(g - (c == which) for c, g in enumerate(given))]
-            weights = corners[:, which, :, None, None]
-            following[given] = sum(weights[:, c] * before[:, above[c]] for c in range(3))
-        partial = following
-    return np.stack([partial[tuple(x)][:, 0] for x in multi_indices(n).tolist()], axis=1)
+    count = nets.shape[1]
+    n = degree_of(count)
+    out = np.empty((len(nets), len(corners), *nets.shape[1:]))
+    step = max(1, _ENTRIES // count**2)
+    for first in range(0, len(corners), step):
+        part = corners[first : first + step]
+        rows = subdivision_matrix(n, part).reshape(-1, count)
+        out[:, first : first + step] = (rows @ nets).reshape(len(nets), len(part), *nets.shape[1:])
+    return out
+
+
+#: Most entries of the matrices that `subdivide` has at a time.
+_ENTRIES = 1 << 20
 
 
 #: Corners of the four midpoint sub-triangles: at A, at B, at C, and the middle one turned by a

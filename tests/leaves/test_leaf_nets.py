@@ -36,12 +36,26 @@ def test_a_cone_has_few_leaves() -> None:
     assert len(build_leaves(cone, GENERAL)) < 4000
 
 
-@pytest.mark.parametrize("n", [1, 2, 5, 9])
+@pytest.mark.parametrize("n", [1, 2, 5, 16])
 def test_nets_over_triangles_are_those_of_the_matrices(n: int) -> None:
     rng = np.random.default_rng(n)
+    nets = rng.normal(size=(3, bernstein.size(n), 4))
+    # more than fit into one step at degree 16
+    corners = rng.normal(size=(60, 3, 3))
+    expected = np.stack([bernstein.subdivision_matrix(n, c) @ nets for c in corners], axis=1)
+    # sums of the same products, perhaps in another order: rounding grows with their moduli
+    tolerance = bernstein.size(n) * 1e-15 * np.abs(expected).max()
+    np.testing.assert_allclose(bernstein.subdivide(nets, corners), expected, atol=tolerance)
+
+
+@pytest.mark.parametrize("n", [1, 3, 8, 16, 20])
+def test_nets_over_triangles_have_the_points_of_the_patch(n: int) -> None:
+    rng = np.random.default_rng(n)
     net = rng.normal(size=(bernstein.size(n), 4))
-    corners = rng.normal(size=(5, 3, 3))
-    expected = np.stack([bernstein.subdivision_matrix(n, c) @ net for c in corners])
-    # the same affine combinations in another order, each step a few roundings
-    tolerance = n * 1e-15 * np.abs(expected).max()
-    np.testing.assert_allclose(bernstein.subdivide(net, corners), expected, atol=tolerance)
+    corners = rng.dirichlet(np.ones(3), size=(2, 3))
+    bary = rng.dirichlet(np.ones(3), size=7)
+    parts = bernstein.subdivision_matrix(n, corners) @ net
+    for part, triangle in zip(parts, corners):
+        expected = bernstein.basis(n, (bary @ triangle)[:, :2]) @ net
+        # convex combinations of numbers of size 1, n levels deep
+        np.testing.assert_allclose(bernstein.basis(n, bary[:, :2]) @ part, expected, atol=n * 1e-15)

@@ -85,12 +85,10 @@ def subdivide(
             parts.append((split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3)))
             numbers.append(np.repeat(patch[those], len(corners)))
             halved.append(np.repeat(halvings[those] + len(corners) // 2, len(corners)))
-        for i in np.flatnonzero(corner >= 0):
+        cut_alike: dict[bytes, tuple[np.ndarray, list[int]]] = {}
+        for i in np.flatnonzero(corner >= 0).tolist():
             triangles, end = strips(nets[i], int(corner[i]))
-            inner = domain[i] @ triangles.transpose(0, 2, 1)
-            parts.append((bernstein.subdivide(nets[i], triangles), inner))
-            numbers.append(np.full(len(triangles), patch[i]))
-            halved.append(np.full(len(triangles), halvings[i] + 2))
+            cut_alike.setdefault(triangles.tobytes(), (triangles, []))[1].append(i)
             if end > 0:
                 caps, inner = fan(nets[i], int(corner[i]), end)
                 if len(caps):
@@ -98,6 +96,12 @@ def subdivide(
                     closing = _graph_leaves(caps, domain[i] @ inner, owner, settings)[0]
                     closing.certified[:] = False  # planar: not quite the surface
                     yield closing
+        for triangles, alike in cut_alike.values():
+            split = bernstein.subdivide(nets[alike], triangles)
+            inner = domain[alike][:, None] @ triangles.transpose(0, 2, 1)
+            parts.append((split.reshape(-1, *nets.shape[1:]), inner.reshape(-1, 3, 3)))
+            numbers.append(np.repeat(patch[alike], len(triangles)))
+            halved.append(np.repeat(halvings[alike] + 2, len(triangles)))
         nets = np.concatenate([p[0] for p in parts])
         domain = np.concatenate([p[1] for p in parts])
         patch, halvings = np.concatenate(numbers), np.concatenate(halved)

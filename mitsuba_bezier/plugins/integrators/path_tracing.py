@@ -57,19 +57,21 @@ def russian_roulette(
 
 def skip_emitters(rays: SceneRays, ray: Any, active: Any) -> Any:
     """Move rays past directly visible area lights; return the rays."""
-    hit = rays.preliminary(ray, True, active)
-    seen = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & active  # noqa: E711
+    if not any(shape.is_emitter() for shape in rays.scene.shapes()):
+        return ray
 
     def body(ray: Any, seen: Any) -> tuple[Any, ...]:
         hit = rays.preliminary(ray, True, seen)
+        seen = seen & hit.pi.is_valid() & (hit.pi.shape.emitter() != None)  # noqa: E711
         moved = spawn_ray(*rays.meet(hit, ray, mi.RayFlags.Minimal, seen), ray.d)
         ray.o = dr.select(seen, moved.o, ray.o)
-        hit = rays.preliminary(ray, True, seen)
-        again = hit.pi.is_valid() & (hit.pi.shape.emitter() != None) & seen  # noqa: E711
-        return ray, again
+        return ray, seen
 
     ray, _seen = dr.while_loop(
-        (ray, seen), cond=lambda ray, seen: seen, body=body, label="bezierpath: hide emitters"
+        (ray, mi.Bool(active)),
+        cond=lambda ray, seen: seen,
+        body=body,
+        label="bezierpath: hide emitters",
     )
     return ray
 
