@@ -12,7 +12,7 @@ from typing import Any
 
 import mitsuba_bezier  # noqa: F401 (before Dr.Jit, for which it finds LLVM)
 
-__all__ = ["NAME", "VARIANT", "Float", "Float64", "UInt", "ad", "plain"]
+__all__ = ["NAME", "VARIANT", "Float", "Float64", "UInt", "ad", "has_float64", "plain"]
 
 NAME = os.environ.get("MITSUBA_BEZIER_BACKEND", "llvm")
 if NAME not in ("llvm", "cuda"):
@@ -26,3 +26,8 @@ Float, Float64, UInt = plain.Float, plain.Float64, plain.UInt
 
 #: Mitsuba's variant with these arrays.
 VARIANT = f"{NAME}_ad_rgb"
+
+
+def has_float64(code: str) -> bool:
+    """Return whether generated code has numbers in float64; PTX always declares registers."""
+    return any("double" in x or (".f64" in x and ".reg" not in x) for x in code.splitlines())

@@ -9,6 +9,7 @@ import drjit as dr
 from ..geometry import bernstein
 from .arrays import gather_packets, reciprocal
 from .patch import affine_partials, bernstein_basis
+from .two_float import TwoFloat, coarse, fma, full
 
 __all__ = ["affine_second_partials", "evaluate_second", "second_of_net"]
 
@@ -34,7 +35,8 @@ def evaluate_second(
         Degree.
     patch : UInt
     u, v : Float
-        Their type is that of all arithmetic: with `Float64` only the net is rounded.
+        Their type is that of all arithmetic: with `Float64` only the net is rounded. With
+        `TwoFloat` so are value and first partials, second ones are coarse.
     active : Bool
 
     Returns
@@ -46,8 +48,9 @@ def evaluate_second(
 
 def second_of_net(net: list[Any], n: int, u: Any, v: Any) -> list[list[Any]]:
     """Evaluate nets whose numbers are at hand; see `evaluate_second`."""
-    number = type(u)
-    net = [number(x) for x in net]
+    pairs = isinstance(u, TwoFloat)
+    number = type(coarse(u))
+    net = [TwoFloat(x) if pairs else number(x) for x in net]
     w = 1.0 - u - v
     if n == 1:
         rows = [[net[4 * r + a] for a in range(4)] for r in range(3)]
@@ -61,19 +64,22 @@ def second_of_net(net: list[Any], n: int, u: Any, v: Any) -> list[list[Any]]:
                 r = bernstein.row(n, i + di, j + dj)
                 for a in range(4):
                     term = net[4 * r + a]
-                    point[a] = term * b if point[a] is None else dr.fma(term, b, point[a])
+                    point[a] = term * b if point[a] is None else fma(term, b, point[a])
         rows = [
-            [dr.fma(u, q[i][a], dr.fma(v, q[j][a], w * q[k][a])) for a in range(4)]
+            [fma(u, q[i][a], fma(v, q[j][a], w * q[k][a])) for a in range(4)]
             for i, j, k in ((0, 1, 2), (1, 3, 4), (2, 4, 5))
         ]
         seconds = [
-            [n * (n - 1) * sum(c * q[i][a] for i, c in enumerate(row) if c) for a in range(4)]
+            [
+                n * (n - 1) * sum(c * coarse(q[i][a]) for i, c in enumerate(row) if c)
+                for a in range(4)
+            ]
             for row in _SECOND
         ]
     c0, c1, c2 = rows
-    value = [dr.fma(u, c0[a], dr.fma(v, c1[a], w * c2[a])) for a in range(4)]
+    value = [fma(u, c0[a], fma(v, c1[a], w * c2[a])) for a in range(4)]
     d_du, d_dv = ([n * (c[a] - c2[a]) for a in range(4)] for c in (c0, c1))
-    return [value, d_du, d_dv, *seconds]
+    return [*([full(x) for x in h] for h in (value, d_du, d_dv)), *seconds]
 
 
 def affine_second_partials(h: list[list[Any]]) -> tuple[list[Any], ...]:

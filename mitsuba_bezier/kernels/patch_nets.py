@@ -14,6 +14,7 @@ from .buckets import choose
 from .curvature import evaluate_second, second_of_net
 from .patch import padded_width
 from .rolled import add_gradient, partials_up_to, rolled_partials
+from .two_float import coarse
 
 __all__ = ["Layout", "lay_out"]
 
@@ -85,7 +86,7 @@ class Layout:
         if self.only is not None:
             return evaluate_second(nets, self.only, patch, u, v, active)
         first, degree = self.place(patch, active)
-        return self._branch(self.degrees, nets, first, degree, u, v, dr.mask_t(u)(active))
+        return self._branch(self.degrees, nets, first, degree, u, v, dr.mask_t(coarse(u))(active))
 
     def _branch(
         self,
@@ -102,7 +103,11 @@ class Layout:
         def task(first: Any, degree: Any, u: Any, v: Any, active: Any) -> list[list[Any]]:
             if here is None:
                 found = rolled_partials(nets, first, degree, u, v, active)
-                return [found[key] for key in _SECOND]
+                # as `second_of_net` has them
+                return [
+                    found[key] if sum(key) < 2 else [coarse(x) for x in found[key]]
+                    for key in _SECOND
+                ]
             net = gather_packets(nets, first >> 1, bernstein.size(here) * 4, active, stride=1)
             return second_of_net(net, here, u, v)
 

@@ -9,6 +9,7 @@ are their differences, as those of control points are in de Casteljau's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from math import comb
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import drjit as dr
 
 from .arrays import four_zeros, gather_row
+from .two_float import TwoFloat, coarse, fma, full, select
 
 __all__ = ["add_gradient", "partials_up_to", "rolled_partials"]
 
@@ -82,21 +84,22 @@ def rolled_partials(
     dict
         By ``(p, q)`` of `partials_up_to`, lists of four Float.
     """
-    number, uint = type(u), dr.uint32_array_t(type(u))
-    first, degree, active = uint(first), uint(degree), dr.mask_t(number)(active)
+    number, uint = _number_of(u), dr.uint32_array_t(type(coarse(u)))
+    first, degree, active = uint(first), uint(degree), dr.mask_t(coarse(u))(active)
     w = 1.0 - u - v
     inner, outer = _orders(order, 2), _orders(order, 3)
+    one = dr.full(type(coarse(u)), 1.0)
 
     def level(at: Any, row: Any, choices: Any, p: Any) -> Any:
         def step(k: Any, row: Any, factor: Any, powers: Any, r: Any) -> Any:
             c = [number(x) for x in gather_row(rows, row, active)]
             if is_plain is not None:
                 c = [x * factor for x in c]
-                factor = dr.select(is_plain, factor * number(at - k) / number(k + 1), 1.0)
+                factor = select(is_plain, factor * number(at - k) / number(k + 1), number(one))
             r = [
                 _plus(r[n], v, r[inner.index((a - 1, b))], a)
                 if a
-                else [dr.fma(x, v, y * powers[b]) for x, y in zip(r[n], c)]
+                else [fma(x, v, y * powers[b]) for x, y in zip(r[n], c)]
                 for n, (a, b) in enumerate(inner)
             ]
             powers = _next_powers(powers, w)
@@ -107,7 +110,7 @@ def rolled_partials(
                 uint(0),
                 row,
                 choices,
-                _first_powers(number, order),
+                _first_powers(u, order),
                 [four_zeros(u) for _ in inner],
             ),
             cond=lambda k, *_: active & (k <= at),
@@ -118,16 +121,16 @@ def rolled_partials(
         p = [
             _plus(p[n], u, p[outer.index((x - 1, a, b))], x)
             if x
-            else [dr.fma(y, u, z) for y, z in zip(p[n], r[inner.index((a, b))])]
+            else [fma(y, u, z) for y, z in zip(p[n], r[inner.index((a, b))])]
             for n, (x, a, b) in enumerate(outer)
         ]
         if is_plain is not None:
             # of n! / (i! (n - i)!), i = n - at
-            choices = dr.select(is_plain, choices * number(degree - at) / number(at + 1), 1.0)
+            choices = select(is_plain, choices * number(degree - at) / number(at + 1), number(one))
         return at + 1, row, choices, p
 
     _at, _row, _choices, p = dr.while_loop(
-        (uint(0), first, dr.full(number, 1.0), [four_zeros(u) for _ in outer]),
+        (uint(0), first, full(number(one)), [four_zeros(u) for _ in outer]),
         cond=lambda at, *_: active & (at <= degree),
         body=level,
         labels=("level", "row", "choices", "p"),
@@ -203,7 +206,7 @@ def add_gradient(
             return j + 1, dr.select(is_plain, following, 1.0), _next_powers(of_v, v)
 
         dr.while_loop(
-            (uint(0), choices, _first_powers(number, order)),
+            (uint(0), choices, _first_powers(u, order)),
             cond=lambda j, *_: active & (j <= at),
             body=step,
             labels=("j", "factor", "powers"),
@@ -213,7 +216,7 @@ def add_gradient(
         return i + 1, dr.select(is_plain, following, 1.0), _next_powers(of_u, u)
 
     dr.while_loop(
-        (uint(0), dr.full(number, 1.0), _first_powers(number, order)),
+        (uint(0), dr.full(number, 1.0), _first_powers(u, order)),
         cond=lambda i, *_: active & (i <= degree),
         body=level,
         labels=("i", "choices", "powers"),
@@ -223,14 +226,23 @@ def add_gradient(
 
 def _plus(s: list[Any], x: Any, before: list[Any], times: int) -> list[Any]:
     """Return a derivative of a sum in Horner's method, after one more factor `x`."""
-    return [dr.fma(a, x, b if times == 1 else times * b) for a, b in zip(s, before)]
+    return [fma(a, x, b if times == 1 else times * b) for a, b in zip(s, before)]
 
 
-def _first_powers(number: Any, order: int) -> list[Any]:
+def _number_of(like: Any) -> Callable[[Any], Any]:
+    """Return what makes numbers of the type of `like`, from arrays."""
+    if not isinstance(like, TwoFloat):
+        return type(like)
+    return lambda x: TwoFloat(type(like.hi)(x)).full()
+
+
+def _first_powers(x: Any, order: int) -> list[Any]:
     """Return ``x^0`` and its derivatives."""
-    return [dr.full(number, 1.0), *(dr.zeros(number) for _ in range(order))]
+    number = _number_of(x)
+    one, zero = (dr.full(type(coarse(x)), k) for k in (1.0, 0.0))
+    return [number(one), *(number(zero) for _ in range(order))]
 
 
 def _next_powers(powers: list[Any], x: Any) -> list[Any]:
     """Return ``x^(k+1)`` and its derivatives from those of ``x^k``."""
-    return [dr.fma(a, x, b * powers[b - 1]) if b else a * x for b, a in enumerate(powers)]
+    return [fma(a, x, b * powers[b - 1]) if b else a * x for b, a in enumerate(powers)]

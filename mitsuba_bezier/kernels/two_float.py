@@ -85,7 +85,7 @@ class TwoFloat:
         """Return a number, of Python, Dr.Jit or of two floats already, without rounding it."""
         if isinstance(x, TwoFloat):
             return x
-        if isinstance(x, float):
+        if isinstance(x, (int, float)):
             hi = float(np.float32(x))
             return TwoFloat(hi, (x - hi) or None)
         return TwoFloat(x)

@@ -15,14 +15,21 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry.aspheres import LEG, START
-from ..kernels.arrays import upload
+from ..kernels.arrays import upload, upload_wide
 from ..kernels.records import Record
 from ..kernels.revolution_records import sag_and_slopes
+from ..kernels.two_float import TwoFloat, coarse, fma, select, sqrt
+from .wide_vectors import place_of, wide_types, widen
 
 __all__ = ["AsphereTables"]
 
 #: The number of an asphere in place of a patch that is none.
 _NONE = 0xFFFFFFFF
+
+
+def _as(like: Any, x: Any) -> Any:
+    """Return a number in the type of another one."""
+    return TwoFloat.of(x) if isinstance(like, TwoFloat) else type(like)(coarse(x))
 
 
 @cache
@@ -45,7 +52,7 @@ class AsphereTables:
     """The aspheres of a list of shapes."""
 
     number: Any  #: UInt, of each patch, `_NONE` where it is no asphere
-    values: Any  #: Float64, x `_layout`
+    values: Any  #: wide, x `_layout`
     terms: int  #: coefficients of each; fewer are padded
 
     @staticmethod
@@ -78,14 +85,15 @@ class AsphereTables:
             )
         return AsphereTables(
             upload(mi.UInt32, np.concatenate(numbers)),
-            upload(mi.Float64, np.concatenate(rows)),
+            upload_wide(wide_types(), np.concatenate(rows)),
             count,
         )
 
     def attached(self, shapes: list[Any]) -> AsphereTables:
         """Return the same with the derivatives of the shapes' parameters."""
         layout = _layout(self.terms)
-        values = mi.Float64(dr.detach(self.values))
+        values = type(self.values)(dr.detach(self.values))
+        number = type(values)
         zero = mi.UInt32(0)
         first = 0
         for shape in shapes:
@@ -103,13 +111,21 @@ class AsphereTables:
                 entries[layout.first["curvature"]] = curvature
                 entries[layout.first["conic"]] = conic
                 for slot, value in entries.items():
-                    dr.scatter(values, mi.Float64(value), zero + (first + slot))
+                    dr.scatter(values, number(value), zero + place_of(values, first + slot))
                 width = dr.width(coefficients) if len(shape.asphere.coefficients) else 0
                 if width:
                     index = dr.arange(mi.UInt32, width) + (first + layout.first["coefficients"])
-                    dr.scatter(values, mi.Float64(coefficients.array), index)
+                    dr.scatter(values, number(coefficients.array), place_of(values, index))
             first += layout.size
         return replace(self, values=dr.replace_grad(self.values, values))
+
+    @property
+    def _has_float64(self) -> bool:
+        return type(self.values) is mi.Float64
+
+    def _wide(self, x: Any) -> Any:
+        """Return a number as those of the records are."""
+        return widen(not self._has_float64, x)
 
     def _gather(self, patch: Any, active: Any, through: str | None = None) -> tuple[Any, Any]:
         """Return which patches are aspheres, and their records."""
@@ -120,35 +136,36 @@ class AsphereTables:
 
     def lifted(self, h: list[list[Any]], patch: Any, u: Any, v: Any, active: Any) -> Any:
         """Return points and partials as `evaluate_second` does, those of aspheres their own."""
-        number = type(h[0][0])
         mine, m = self._gather(patch, active)
         size = m.aperture
         step = LEG * size
-        x, y = (mi.Float64(w) * step - START * size for w in (u, v))
+        x, y = (self._wide(w) * step - START * size for w in (u, v))
         bend = (1.0 + m.conic) * m.curvature * m.curvature
-        f, f1, f2 = sag_and_slopes(m.curvature, bend, m.coefficients, dr.fma(x, x, y * y))
-        zero, square, twice = 0.0 * x, step * step, 2.0 * f1
-        across = 4.0 * f2 * x * y * square
+        f, f1, f2 = sag_and_slopes(m.curvature, bend, m.coefficients, fma(x, x, y * y))
+        zero, twice = 0.0 * coarse(x), 2.0 * f1
+        cx, cy, slope, square = coarse(x), coarse(y), coarse(step), coarse(step * step)
+        across = 4.0 * f2 * cx * cy * square
         local = [
             [x, y, f],
-            [step, zero, twice * x * step],
-            [zero, step, twice * y * step],
-            [zero, zero, dr.fma(4.0 * f2 * x, x, twice) * square],
+            [slope, zero, twice * cx * slope],
+            [zero, slope, twice * cy * slope],
+            [zero, zero, dr.fma(4.0 * f2 * cx, cx, twice) * square],
             [zero, zero, across],
-            [zero, zero, dr.fma(4.0 * f2 * y, y, twice) * square],
+            [zero, zero, dr.fma(4.0 * f2 * cy, cy, twice) * square],
         ]
         out = []
         for k, (old, point) in enumerate(zip(h, local)):
-            new = [sum(a * b for a, b in zip(row, point)) for row in m.linear]
+            linear = m.linear if k == 0 else [[coarse(a) for a in row] for row in m.linear]
+            new = [sum(a * b for a, b in zip(row, point)) for row in linear]
             if k == 0:
                 new = [a + b for a, b in zip(new, m.shift)]
             new.append(zero + (1.0 if k == 0 else 0.0))
-            out.append([dr.select(mine, number(a), b) for a, b in zip(new, old)])
+            out.append([select(mine, _as(b, a), b) for a, b in zip(new, old)])
         return out
 
     def holds(self, patch: Any, u: Any, v: Any, active: Any) -> Any:
         """Return whether parameters are between the rims of an asphere; true for other patches."""
         mine, m = self._gather(patch, active, "inner")
-        x, y = (mi.Float64(w) * LEG - START for w in (u, v))
-        r = dr.sqrt(dr.fma(x, x, y * y)) * m.aperture
+        x, y = (self._wide(w) * LEG - START for w in (u, v))
+        r = sqrt(fma(x, x, y * y)) * m.aperture
         return ~mine | ((r <= m.aperture) & (r >= m.inner))

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..kernels.arrays import upload
 from .silhouette import Discrete, SilhouetteCurves, in_place, outward
+from .wide_vectors import single
 
 __all__ = ["BoundaryLines", "BoundarySample"]
 
@@ -122,8 +123,8 @@ class BoundaryLines:
         sine, cosine = dr.sincos(angle)
         d = frame.s * cosine + frame.t * sine
         n, curvature = outward(in_place(tables.second(patch, u, v, active), place), d)
-        out = self.empty(patch, u, v, mi.Point3f(jet.p + jet.origin), d, n, curvature)
-        area = mi.Float(dr.norm(dr.cross(jet.pu, jet.pv)))
+        out = self.empty(patch, u, v, mi.Point3f(single(jet.point)), d, n, curvature)
+        area = jet.area()
         pdf = dr.select(active & (area > 0), linear / area, 0.0) / mi.Float(count)
         out.pdf = pdf * dr.inv_two_pi / len(self.numbers)
         out.valid = active & (pdf > 0) & dr.isfinite(curvature) & (curvature > 0)

@@ -13,7 +13,9 @@ from ..kernels.arrays import gather_packets, upload
 from ..kernels.instances import build_instances, intersect_instances
 from ..kernels.query import Hit
 from ..kernels.structure import build_structure
+from ..kernels.two_float import TwoFloat
 from ..leaves.records import Leaves
+from .wide_vectors import PairVector
 
 __all__ = ["InstanceTables", "check_instances", "placed_by", "read_instances"]
 
@@ -117,8 +119,8 @@ class InstanceTables:
         return intersect_instances(self.kernel, o, d, t_max, active, any_hit)
 
 
-def placed_by(matrices: Any, number: Any, active: Any) -> tuple[Any, Any]:
-    """Return maps, `mi.Matrix3d` and the translation `mi.Vector3d`.
+def placed_by(matrices: Any, number: Any, active: Any, pairs: bool = False) -> tuple[Any, Any]:
+    """Return maps: linear parts `mi.Matrix3d`, of pairs `mi.Matrix3f`; wide translations.
 
     Parameters
     ----------
@@ -127,10 +129,15 @@ def placed_by(matrices: Any, number: Any, active: Any) -> tuple[Any, Any]:
     number : UInt
         1 + the number of the instance; 0 stands for none.
     active : Bool
+    pairs : bool
+        Whether wide numbers are pairs of float32.
     """
     placed = (number != 0) & active
     instance = dr.select(placed, number - 1, 0)
     rows = gather_packets(matrices, instance, 15, placed)
+    if pairs:
+        linear = dr.select(placed, mi.Matrix3f(*rows[:9]), dr.identity(mi.Matrix3f))
+        return linear, PairVector(*(TwoFloat(rows[9 + k], rows[12 + k]) for k in range(3)))
     a = mi.Matrix3d(*(mi.Float64(x) for x in rows[:9]))
     # float32 numbers and what they are off: a translation may be long
     b = mi.Vector3d(*(mi.Float64(rows[9 + k]) + mi.Float64(rows[12 + k]) for k in range(3)))

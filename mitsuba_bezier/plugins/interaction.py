@@ -11,8 +11,24 @@ import mitsuba as mi
 from ..kernels.curvature import affine_second_partials
 from ..kernels.patch import affine_partials
 from ..kernels.patch_nets import Layout
+from ..kernels.two_float import TwoFloat, coarse, select
 from .instances import placed_by
 from .offsets import position_error
+from .wide_vectors import (
+    PairVector,
+    along,
+    choose,
+    cross,
+    detach,
+    dot,
+    dot_rows,
+    narrow,
+    normalized,
+    single,
+    times,
+    vector,
+    widen,
+)
 
 _XYZ = range(3)
 
@@ -73,12 +89,12 @@ class Met(NamedTuple):
 class Jet:
     """A point of a patch relative to an origin, and its partials by the parameters.
 
-    In float64 up to the first partials: so the only roundings are those of the net, which is
+    In wide numbers up to the first partials: so the only roundings are those of the net, which is
     relative to the origin, too, and of the results.
     """
 
-    origin: Any  #: Vector3d
-    p: Any  #: Vector3d
+    origin: Any  #: wide vector, as the next
+    p: Any
     pu: Any
     pv: Any
     puu: Any  #: Vector3f
@@ -89,18 +105,46 @@ class Jet:
         """Return what it is at parameters that differ by so little that squares do not count."""
         pu, pv = self.change(du, dv)
         p = self.p + self.pu * du + self.pv * dv
-        return replace(self, p=p, pu=self.pu + mi.Vector3d(pu), pv=self.pv + mi.Vector3d(pv))
+        pu, pv = (vector(self.pairs, x) for x in (pu, pv))
+        return replace(self, p=p, pu=self.pu + pu, pv=self.pv + pv)
+
+    @property
+    def pairs(self) -> bool:
+        """Whether wide numbers are pairs of float32."""
+        return isinstance(self.p, PairVector)
+
+    @property
+    def point(self) -> Any:
+        """The point itself, a wide vector."""
+        return self.p + self.origin
+
+    def tangents(self) -> tuple[Any, Any, Any, Any]:
+        """Return the first partials, where wide numbers are pairs over the numbers after them.
+
+        Float32 has no squares of squares of what a patch that runs to infinity has for partials.
+        """
+        if not self.pairs:
+            return self.pu, self.pv, 1.0, 1.0
+        (pu, size_u), (pv, size_v) = normalized(self.pu), normalized(self.pv)
+        return pu, pv, size_u, size_v
+
+    def area(self) -> Any:
+        """Return ``|dp_du x dp_dv|``, a `mi.Float`."""
+        pu, pv, size_u, size_v = self.tangents()
+        if not self.pairs:
+            return mi.Float(dr.norm(cross(pu, pv)))
+        return dr.norm(single(cross(pu, pv))) * size_u * size_v
 
     def change(self, du: Any, dv: Any) -> tuple[Any, Any]:
         """Return how the first partials change."""
-        du, dv = mi.Float(du), mi.Float(dv)
+        du, dv = narrow(du), narrow(dv)
         return self.puu * du + self.puv * dv, self.puv * du + self.pvv * dv
 
     def error(self, p: Any, n: Any) -> Any:
         """Return what the point `p`, rounded, may be off along the unit normal `n`."""
         n = dr.detach(mi.Vector3f(n))
         height = sum(dr.abs(dr.dot(n, dr.detach(x))) for x in (self.puu, self.puv, self.pvv))
-        pu, pv = mi.Vector3f(dr.detach(self.pu)), mi.Vector3f(dr.detach(self.pv))
+        pu, pv = single(detach(self.pu)), single(detach(self.pv))
         return position_error(dr.detach(p), n, pu, pv, height)
 
     def step_to(self, ray: Any, t: Any, active: Any) -> tuple[Any, Any, Any, Any]:
@@ -113,35 +157,34 @@ class Jet:
 
         Returns
         -------
-        du, dv, dt : Float64
+        du, dv, dt : Float64, or Float where wide numbers are pairs
             The first two are zero where the point is not nearly on the ray.
         small : Bool
             Where it is.
         """
-        o, d = mi.Vector3d(ray.o) - self.origin, mi.Vector3d(ray.d)
-        t = mi.Float64(t)
-        gap = dr.fma(t, d, o) - self.p
-        pu, pv, direction = dr.detach(self.pu), dr.detach(self.pv), dr.detach(d)
-        n = dr.cross(pu, pv)
-        square, facing = dr.squared_norm(n), dr.dot(n, direction)
+        pairs = self.pairs
+        gap = along(t, ray.d, vector(pairs, ray.o) - self.origin) - self.p
+        pu, pv, size_u, size_v = self.tangents()
+        pu, pv, direction = detach(pu), detach(pv), dr.detach(ray.d)
+        # far away on a patch that runs to infinity both partials have nearly one direction
+        n, direction = cross(pu, pv), vector(pairs, direction)
+        square, facing = dot(n, n), dot(n, direction)
         # at a silhouette, and where nothing was hit, nothing follows
-        regular = active & (square > 0) & (facing != 0)
-        inverse = dr.select(regular, 1.0 / dr.select(regular, square, 1.0), 0.0)
-        free = dr.select(regular, -dr.dot(n, gap) / dr.select(regular, facing, 1.0), 0.0)
-        limit = dr.abs(dr.detach(t)) * _ALONG
-        gap += dr.replace_grad(dr.clip(dr.detach(free), -limit, limit), free) * direction
-        du = inverse * dr.dot(dr.cross(pv, n), gap)
-        dv = inverse * dr.dot(dr.cross(n, pu), gap)
+        regular = active & (coarse(square) > 0) & (coarse(facing) != 0)
+        inverse = select(regular, 1.0 / select(regular, square, 1.0), 0.0)
+        free = select(regular, -dot(n, gap) / select(regular, facing, 1.0), 0.0)
+        free = coarse(free)  # of no more than a rounding of t
+        limit = type(free)(dr.abs(dr.detach(t)) * _ALONG)
+        gap = gap + direction * dr.replace_grad(dr.clip(dr.detach(free), -limit, limit), free)
+        du = inverse * dot(cross(pv, n), gap)
+        dv = inverse * dot(cross(n, pu), gap)
+        if pairs:
+            du, dv = (select(regular, x / y, 0.0) for x, y in ((du, size_u), (dv, size_v)))
         # where a patch runs to infinity, its partials change at once
         bent = self.change(du, dv)
-        small = dr.maximum(dr.abs(du), dr.abs(dv)) < _NEAR
+        small = dr.maximum(dr.abs(coarse(du)), dr.abs(coarse(dv))) < _NEAR
         small &= _size(*bent) < _BENT * _size(self.pu, self.pv)
-        return (
-            dr.replace_grad(dr.select(small, du, 0.0), du),
-            dr.replace_grad(dr.select(small, dv, 0.0), dv),
-            free,
-            small,
-        )
+        return _where(small, du), _where(small, dv), free, small
 
     def is_far(self, ray: Any, t: Any) -> Any:
         """Return a mask of hits that a rounding of parameters moves further than one of `t`."""
@@ -162,6 +205,7 @@ class PatchTables:
     projections: Any = None  #: Projections, or None: no shape has one
     aspheres: Any = None  #: AsphereTables, or None: there is no asphere
     places: Any = None  #: Float, `InstanceTables.matrices`, or None: nothing has instances
+    pairs: bool = False  #: whether wide numbers are pairs of float32, see `Types`
 
     def origin(self, patch: Any, active: Any) -> Any:
         """Return the origins of patches, `mi.Point3f`."""
@@ -173,10 +217,30 @@ class PatchTables:
 
     def relative(self, point: Any, patch: Any, active: Any) -> Any:
         """Return a point relative to the origins of patches."""
-        return mi.Point3f(mi.Vector3d(point) - mi.Vector3d(self.origin(patch, active)))
+        origin = self.origin(patch, active)
+        if self.pairs:  # a difference of two numbers is rounded once
+            return mi.Point3f(mi.Vector3f(point) - mi.Vector3f(origin))
+        return mi.Point3f(mi.Vector3d(point) - mi.Vector3d(origin))
 
     def second(self, patch: Any, u: Any, v: Any, active: Any) -> list[list[Any]]:
         """Return homogeneous points and partials, see `Layout.second`, from the origins."""
+        if not (isinstance(u, TwoFloat) and dr.grad_enabled(*self.sources, u.hi, v.hi)):
+            return self._second(patch, u, v, active)
+        # derivatives are those of float32
+        attached = self._second(patch, u.hi, v.hi, active)
+        with dr.suspend_grad():
+            h = self._second(patch, u, v, active)
+        return [
+            [
+                TwoFloat(dr.replace_grad(x.hi, y), x.lo)
+                if isinstance(x, TwoFloat)
+                else dr.replace_grad(x, y)
+                for x, y in zip(*rows)
+            ]
+            for rows in zip(h, attached)
+        ]
+
+    def _second(self, patch: Any, u: Any, v: Any, active: Any) -> list[list[Any]]:
         h = self.layout.second(self.nets, patch, u, v, active)
         return h if self.aspheres is None else self.aspheres.lifted(h, patch, u, v, active)
 
@@ -188,7 +252,7 @@ class PatchTables:
 
     def place(self, number: Any, active: Any) -> tuple[Any, Any] | None:
         """Return the maps of instances, see `placed_by`; None where nothing has any."""
-        return None if self.places is None else placed_by(self.places, number, active)
+        return None if self.places is None else placed_by(self.places, number, active, self.pairs)
 
     def jet(self, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Jet:
         """Return points and partials.
@@ -196,15 +260,16 @@ class PatchTables:
         Parameters
         ----------
         place : pair, optional
-            Affine map of each to space: `mi.Matrix3d`, and a translation.
+            Affine map of each to space, see `placed_by`.
         """
-        h = self.second(patch, mi.Float64(u), mi.Float64(v), active)
-        origin = mi.Vector3d(self.origin(patch, active))
+        u, v = (widen(self.pairs, mi.Float(x)) for x in (u, v))
+        h = self.second(patch, u, v, active)
+        origin = vector(self.pairs, self.origin(patch, active))
         if place is not None:
             h = placed(h, place[0])
-            origin = place[0] @ origin + place[1]
-        p, pu, pv = (mi.Vector3d(*x) for x in affine_partials(*h[:3]))
-        rounded = [[mi.Float(a) for a in x] for x in h]
+            origin = times(place[0], origin) + place[1]
+        p, pu, pv = (vector(self.pairs, x) for x in affine_partials(*h[:3]))
+        rounded = [[narrow(a) for a in x] for x in h]
         second = affine_second_partials(rounded)[3:]
         return Jet(origin, p, pu, pv, *(mi.Vector3f(*x) for x in second))
 
@@ -213,13 +278,16 @@ class PatchTables:
     ) -> tuple[Any, Any, Any]:
         """Return the point and its first partials by the parameters."""
         jet = self.jet(patch, u, v, active, place)
-        return mi.Point3f(jet.p + jet.origin), mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
+        return mi.Point3f(single(jet.point)), single(jet.pu), single(jet.pv)
 
     def normal(self, jet: Jet, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Any:
         """Return the unit normal at a point of patches, flipped as their shapes are."""
-        n = dr.cross(jet.pu, jet.pv)
+        pu, pv, *_sizes = jet.tangents()
+        n = cross(pu, pv)
+        if jet.pairs:
+            n, pu, pv = single(n), single(pu), single(pv)
         # collapsed edges and corners: the limit from inside
-        flat = active & _is_flat(n, jet.pu, jet.pv)
+        flat = active & _is_flat(n, pu, pv)
         if dr.grad_enabled(n):  # Dr.Jit differentiates selections, not what a branch gathers
             n = dr.select(flat, self._limit_normal(patch, u, v, flat, place), n)
         else:
@@ -289,8 +357,8 @@ class PatchTables:
         """Return what `point_and_normal` does, and the error of the point along the normal."""
         jet = self.jet(patch, u, v, active)
         n = self.normal(jet, patch, u, v, active)
-        p = mi.Point3f(jet.p + jet.origin)
-        return p, n, mi.Float(dr.norm(dr.cross(jet.pu, jet.pv))), jet.error(p, n)
+        p = mi.Point3f(single(jet.point))
+        return p, n, jet.area(), jet.error(p, n)
 
     def sign(self, patch: Any, active: Any, place: Any = None) -> Any:
         """Return the sign of the normal along ``dp_du x dp_dv``."""
@@ -317,7 +385,7 @@ class PatchTables:
             return uv
         jet = self.jet(patch, u, v, active)
         shape = dr.gather(mi.UInt32, self.shape_of, patch, active)
-        seen = self.projections.project(shape, jet.p + jet.origin, mi.Normal3f(0, 0, 1), active)
+        seen = self.projections.project(shape, jet.point, mi.Normal3f(0, 0, 1), active)
         return dr.select(seen.here, seen.uv, uv)
 
     def project(self, patch: Any, p: Any, n: Any, active: Any, place: Any) -> Any:
@@ -331,20 +399,32 @@ class PatchTables:
             self.jet(patch, u + step * (1 / 3 - u), v + step * (1 / 3 - v), flat, place)
             for step in (_STEP, 2 * _STEP)
         )
-        inner, outer = dr.cross(near.pu, near.pv), dr.cross(far.pu, far.pv)
+        inner, outer = (cross(*jet.tangents()[:2]) for jet in (near, far))
+        if near.pairs:
+            inner, outer = single(inner), single(outer)
         limit = 2.0 * _unit(inner) - _unit(outer)
         limit = dr.select(dr.squared_norm(outer) > 0, limit, _unit(inner))
-        return dr.select(dr.squared_norm(inner) > 0, limit, mi.Vector3d(0, 0, 1))
+        return dr.select(dr.squared_norm(inner) > 0, limit, type(inner)(0, 0, 1))
 
 
 def placed(h: list[list[Any]], a: Any) -> list[list[Any]]:
     """Return homogeneous points and partials under linear maps."""
-    vector = mi.Vector3d if type(h[0][0]) is mi.Float64 else mi.Vector3f
-    return [[*(a @ vector(*x[:3])), x[3]] for x in h]
+    if isinstance(h[0][0], TwoFloat):
+        wide = [[*dot_rows(a, x[:3]), x[3]] for x in h[:3]]
+        return [*wide, *([*(a @ mi.Vector3f(*x[:3])), x[3]] for x in h[3:])]
+    kind = mi.Vector3d if type(h[0][0]) is mi.Float64 else mi.Vector3f
+    return [[*(a @ kind(*x[:3])), x[3]] for x in h]
 
 
 def _size(a: Any, b: Any) -> Any:
-    return dr.norm(mi.Vector3f(a)) + dr.norm(mi.Vector3f(b))
+    return dr.norm(single(a)) + dr.norm(single(b))
+
+
+def _where(mask: Any, x: Any) -> Any:
+    """Return a number where the mask is set and zero elsewhere, with its derivatives everywhere."""
+    if isinstance(x, TwoFloat):
+        return TwoFloat(_where(mask, x.hi), None if x.lo is None else dr.select(mask, x.lo, 0.0))
+    return dr.replace_grad(dr.select(mask, x, 0.0), x)
 
 
 def _unit(n: Any) -> Any:
@@ -436,16 +516,16 @@ def _interaction(
     # a patch runs to infinity a rounding of them moves the point further than one of t.
     far = ~small & jet.is_far(ray, t)
     if follows_shape:
-        du, dv = dr.detach(du), dr.detach(dv)
+        du, dv = detach(du), detach(dv)
     else:
         t = dr.replace_grad(t, mi.Float(dt))
     jet = jet.moved(du, dv)
-    u, v = mi.Float(u + du), mi.Float(v + dv)
+    u, v = (narrow(widen(jet.pairs, x) + y) for x, y in ((u, du), (v, dv)))
     n = tables.normal(jet, hit.patch, u, v, ours, place)
-    exact = dr.select(far, mi.Vector3d(ray.o) + t * mi.Vector3d(ray.d), jet.p + jet.origin)
-    p = mi.Point3f(exact)
+    exact = choose(far, along(t, ray.d, vector(jet.pairs, ray.o)), jet.point)
+    p = mi.Point3f(single(exact))
     p_err = dr.select(ours, jet.error(p, n), 0.0)
-    pu, pv = mi.Vector3f(jet.pu), mi.Vector3f(jet.pv)
+    pu, pv = single(jet.pu), single(jet.pv)
     if follows_shape and dr.grad_enabled(*tables.sources, ray):
         t = dr.replace_grad(t, dr.norm(dr.select(ours, p - ray.o, 1.0)) / dr.norm(ray.d))
     uv, duv_du, duv_dv = tables.texture(hit.patch, u, v, ours)
@@ -455,7 +535,7 @@ def _interaction(
     if tables.projections is not None:
         if place is not None:  # instances have the texture of what they are instances of
             first = tables.jet(hit.patch, pi.prim_uv.x, pi.prim_uv.y, ours).moved(du, dv)
-            exact = first.p + first.origin
+            exact = first.point
         projected = tables.project(hit.patch, exact, n, ours, place)
         tangents = [projected.du, projected.dv]
     if wants_dn:

@@ -11,7 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import BezierError
-from ..kernels.arrays import gather_packets, upload
+from ..kernels.arrays import gather_wide, upload, upload_wide
+from ..kernels.two_float import coarse
+from .wide_vectors import PairVector, place_of, single, vector, wide_types
 
 __all__ = ["PROJECTIONS", "Projected", "Projections", "read_projection"]
 
@@ -86,7 +88,7 @@ class Projections:
 
     kinds: tuple[str, ...]  #: which there are, "" for none
     kind_of: Any  #: UInt per shape, index into `kinds`
-    rows: Any  #: Float64, `_ROW` per shape
+    rows: Any  #: wide, `_ROW` per shape
 
     @staticmethod
     def of(shapes: list[Any]) -> Projections | None:
@@ -104,12 +106,12 @@ class Projections:
         return Projections(
             kinds,
             upload(mi.UInt32, np.array([kinds.index(kind) for kind in used])),
-            upload(mi.Float64, rows),
+            upload_wide(wide_types(), rows),
         )
 
     def attached(self, shapes: list[Any]) -> Projections:
         """Return the same with maps that carry the derivatives of their shapes' ``to_world``."""
-        rows = mi.Float64(dr.detach(self.rows))
+        rows = type(self.rows)(dr.detach(self.rows))
         for number, shape in enumerate(shapes):
             if shape.projection is None or not dr.grad_enabled(shape.to_world):
                 continue
@@ -122,7 +124,8 @@ class Projections:
                 *(inverse[i, j] for i in range(3) for j in range(3)),
             ]
             for k, value in enumerate(values):
-                dr.scatter(rows, mi.Float64(value), mi.UInt32(number * _ROW + k))
+                place = place_of(rows, number * _ROW + k)
+                dr.scatter(rows, type(rows)(value), mi.UInt32(place))
         return replace(self, rows=dr.replace_grad(self.rows, rows))
 
     def project(self, shape: Any, p: Any, n: Any, active: Any, linear: Any = None) -> Projected:
@@ -132,22 +135,26 @@ class Projections:
         ----------
         shape : UInt
             Numbers of shapes.
-        p : Vector3d
+        p : wide vector
             Points of the surfaces, where `to_world` has brought them.
         n : mi.Normal3f
             Unit normals there, or of the instances; either side.
         active : Bool
-        linear : mi.Matrix3d, optional
+        linear : matrix, optional
             Linear parts of the maps to instances.
         """
         kind = dr.gather(mi.UInt32, self.kind_of, shape, active)
-        rows = gather_packets(self.rows, shape, 22, active)
-        there = mi.Matrix3d(*rows[:9])
-        q = mi.Matrix3d(*rows[12:21]) @ (p - mi.Vector3d(*rows[9:12]))
+        rows = gather_wide(self.rows, shape, 22, active)
+        away = p - vector(isinstance(p, PairVector), rows[9:12])
+        if isinstance(p, PairVector):  # what is left is as exact in float32 as texture coordinates
+            rows = [coarse(x) for x in rows]
+            there, q = mi.Matrix3f(*rows[:9]), mi.Matrix3f(*rows[12:21]) @ single(away)
+        else:
+            there, q = mi.Matrix3d(*rows[:9]), mi.Matrix3d(*rows[12:21]) @ away
         if linear is not None:
             there = linear @ there
-        m = there.T @ mi.Vector3d(n)
-        uv, du, dv = mi.Point2f(0.0), mi.Vector3d(0.0), mi.Vector3d(0.0)
+        m = there.T @ type(q)(n)
+        uv, du, dv = mi.Point2f(0.0), type(q)(0.0), type(q)(0.0)
         regular, here = mi.Bool(False), mi.Bool(False)
         for number, name in enumerate(self.kinds):
             if name:
@@ -205,8 +212,8 @@ def _spherical(q: Any, m: Any, least: Any) -> tuple[Any, ...]:
     r2 = dr.squared_norm(q)
     facing, regular = _inverse(dr.dot(q, m), dr.sqrt(r2), dr.norm(m))
     # the gradients, times 2 pi rho^2 and pi r^2
-    down = mi.Vector3d(q.z * x, q.z * y, -rho * rho) / rho
-    east = mi.Vector3d(-y, x, 0.0) / rho
+    down = type(q)(q.z * x, q.z * y, -rho * rho) / rho
+    east = type(q)(-y, x, 0.0) / rho
     out, up = mi.Float(dr.select(axis, 0.0, rho)), mi.Float(q.z)
     up = dr.select(axis & (up == 0), 1.0, up)  # the origin
     uv = mi.Point2f(_angle(x, y), dr.atan2(out, up) * dr.inv_pi)
@@ -221,22 +228,22 @@ def _cylindrical(q: Any, m: Any, least: Any) -> tuple[Any, ...]:
     x, y, rho, axis = _around(q, least)
     height = dr.fma(x, m.x, y * m.y)
     facing, regular = _inverse(height, rho, dr.norm(m))
-    du = mi.Vector3d(-m.y, m.x, 0.0) * (dr.two_pi * rho * rho * facing)
-    dv = mi.Vector3d(-m.z * x * facing, -m.z * y * facing, 1.0)
+    du = type(q)(-m.y, m.x, 0.0) * (dr.two_pi * rho * rho * facing)
+    dv = type(q)(-m.z * x * facing, -m.z * y * facing, 1.0)
     return mi.Point2f(_angle(x, y), mi.Float(q.z)), du, dv, regular & ~axis
 
 
 def _planar(q: Any, m: Any, _least: Any) -> tuple[Any, ...]:
     facing, regular = _inverse(m.z, dr.norm(m))
     uv = mi.Point2f(mi.Float(0.5 * q.x + 0.5), mi.Float(0.5 * q.y + 0.5))
-    du = mi.Vector3d(2.0, 0.0, -2.0 * m.x * facing)
-    return uv, du, mi.Vector3d(0.0, 2.0, -2.0 * m.y * facing), regular
+    du = type(q)(2.0, 0.0, -2.0 * m.x * facing)
+    return uv, du, type(q)(0.0, 2.0, -2.0 * m.y * facing), regular
 
 
 def _polar(q: Any, m: Any, least: Any) -> tuple[Any, ...]:
     x, y, rho, axis = _around(q, least)
     facing, regular = _inverse(m.z, dr.norm(m))
-    out, east = mi.Vector3d(x, y, 0.0) / rho, mi.Vector3d(-y, x, 0.0) / rho
+    out, east = type(q)(x, y, 0.0) / rho, type(q)(-y, x, 0.0) / rho
     uv = mi.Point2f(mi.Float(dr.select(axis, 0.0, rho)), _angle(x, y))
     # on the axis nothing, as of Mitsuba's disk
     du = dr.select(axis, 0.0, dr.cross(east, m) * facing)

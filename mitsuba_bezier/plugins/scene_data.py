@@ -126,6 +126,7 @@ class SceneData:
             projections=Projections.of(shapes),
             aspheres=AsphereTables.of(shapes, [origin for _net, origin in nets]),
             places=None if self.instances is None else self.instances.matrices,
+            pairs=uses_pairs(mi.Float),
         )
         if scene is not None:
             pointers = scene.shapes_dr()

@@ -26,6 +26,7 @@ from mitsuba_bezier.geometry.trim_cells import trim_cells
 from mitsuba_bezier.geometry.trims import Trims, square_map
 from mitsuba_bezier.kernels import wavefront
 from mitsuba_bezier.kernels.curvature import affine_second_partials, evaluate_second
+from mitsuba_bezier.kernels.float64_use import set_float64
 from mitsuba_bezier.kernels.instances import build_instances, intersect_instances
 from mitsuba_bezier.kernels.patch import affine_partials, pack
 from mitsuba_bezier.kernels.structure import build_structure
@@ -269,9 +270,12 @@ def main(folder: Path, names: list[str]) -> None:
         out.mkdir(parents=True)
         os.environ["CUDA_STANDIN_OUT"] = str(out)
         dr.flush_kernel_cache()  # so that kernels of another case are loaded again
-        run = CASES[name.removeprefix("float64: ")]
+        pairs = name.startswith("pairs: ")
+        run = CASES[name.removeprefix("float64: ").removeprefix("pairs: ")]
         result = {"case": name}
+        set_float64("never" if pairs else "always")
         on_cuda = run(cuda.Float64 if wide else cuda.Float)
+        set_float64("always")
         if os.environ.get("CUDA_STANDIN_TRANSLATE"):  # else nothing was run
             on_llvm = run(llvm.Float64 if wide else llvm.Float)
             result.update(differences(name, on_cuda, on_llvm))

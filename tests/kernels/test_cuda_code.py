@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from backend_cases import has_float64
 from cuda_standin.standin import KNOWN, StandIn, reason_without
 
 import mitsuba_bezier
@@ -112,6 +113,20 @@ def test_float64(stand_in):
         # no instruction is rough then; some roundings, and some more where a step is the last
         assert max(result.get(key, 0.0) for key in ("t", "u", "v", "values")) < 1e-12, result
     assert not rough_code(folder)
+
+
+@needs_stand_in
+def test_pairs_of_float32(stand_in):
+    """Products and sums are not fused, and no division or root has to be exact."""
+    kinds = ("octants", "capped cone", "inverted", "infinity", "an asphere")
+    names = [f"pairs: {kind}, closest" for kind in kinds]
+    folder, results = stand_in.run("cases", "pairs", names, rough=True)
+    for result in results:
+        assert result["hits"] > 0.2 and result["different"] == 0, result
+        assert max(result[key] for key in "tuv") < TOLERANCE, result
+    texts = [path.read_text(encoding="utf-8") for path in folder.glob("**/*.ptx")]
+    assert len(texts) >= len(kinds)
+    assert not [text for text in texts if "drjit_" in text and has_float64(text)]
 
 
 @needs_stand_in

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 import pytest
-from backend_cases import NAME, Float, Float64
+from backend_cases import NAME, Float, Float64, has_float64
 from leaf_cases import SPHERE, rays, traced
 
 import mitsuba_bezier as mb
@@ -85,13 +85,13 @@ def test_code_and_hits(name):
     for use in ("always", "never"):
         mb.set_float64(use)
         code, hit = code_of(lambda: traced(leaves, o, d))
-        assert ("double" in code or ".f64" in code) == (use == "always")
+        assert has_float64(code) == (use == "always")
         found[use] = {k: np.array(x) for k, x in zip(hit._fields, hit)}
     with_it, without = found["always"], found["never"]
     valid = with_it["valid"]
     assert valid.mean() > 0.02 and np.array_equal(without["valid"], valid)
     code, hit = code_of(lambda: traced(leaves, o, d, any_hit=True))
-    assert "double" not in code and ".f64" not in code
+    assert not has_float64(code)
     assert np.array_equal(np.array(hit.valid), valid)
     assert np.array_equal(without["patch"][valid], with_it["patch"][valid])
     # both are exact but for their last rounding, to one of two neighbours
