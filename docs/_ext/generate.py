@@ -221,6 +221,8 @@ GROUPS = {
         "ray_test",
         "native",
         "register",
+        "float64",
+        "set_float64",
         "denoise",
     ],
     "Builders of surfaces": [
