@@ -367,8 +367,8 @@ def lecture() -> dict[str, str]:
         if target.startswith(("https:", "http:")):
             return found[0]
         if target.startswith("#"):
-            return f"]({where[target[1:]]}{target})"
-        return f"](../{target})"
+            return f"]({where[target[1:]]}{target}"
+        return f"](../{target}"
 
     return {name: re.sub(r"\]\(([^)\s]+)", link, page) for name, page in pages.items()}
 

@@ -53,6 +53,22 @@ def _links(_app: Any, docname: str, source: list[str]) -> None:
     source[0] = lead(docname, source[0])
 
 
+def is_drawing(uri: str) -> bool:
+    """Return whether a picture is black on white: those turn dark with the page."""
+    drawn_over_a_render = posixpath.splitext(uri)[0].endswith("_drawn")
+    line_art = uri.endswith(".svg") or posixpath.basename(uri) == "lens-focus.jpg"
+    return line_art or ("figures/" in uri and not drawn_over_a_render)
+
+
+def _drawings(_app: Any, tree: Any) -> None:
+    """Mark what is drawn, for the style sheet."""
+    from docutils.nodes import image
+
+    for node in tree.findall(image):
+        if is_drawing(node["uri"]):
+            node["classes"].append("drawing")
+
+
 def _formula(display: str) -> Any:
     """Return what writes a formula as MathML, which browsers draw by themselves."""
 
@@ -73,6 +89,7 @@ def _formula(display: str) -> Any:
 def setup(app: Any) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("source-read", _links)
+    app.connect("doctree-read", _drawings)
     formulas = (_formula("inline"), None), (_formula("block"), None)
     app.add_html_math_renderer("mathml", *formulas)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

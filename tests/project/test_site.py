@@ -167,6 +167,26 @@ def test_the_lecture_is_cut_into_pages_that_keep_all_of_it():
     assert sum(page.count("![") for page in pages.values()) == text.count("![")
     assert sum(page.count("```python") for page in pages.values()) == text.count("```python")
     assert len(pages) == text.count("\n## ") + 1
+    # links lead elsewhere, and nothing else has changed
+    for sign in "()[]":
+        assert sum(page.count(sign) for page in pages.values()) == text.count(sign), sign
+
+
+@pytest.mark.parametrize(
+    ("picture", "drawing"),
+    [
+        ("figures/ceva.svg", True),
+        ("figures/basic_curve.webp", True),
+        ("../figures/kepler.png", True),
+        ("figures/media_drawn.webp", False),  # over a render
+        ("lens-mtf.svg", True),
+        ("lens-focus.jpg", True),
+        ("lens-eye.jpg", False),
+        ("../renders/readme.jpg", False),
+    ],
+)
+def test_drawings_are_told_from_renders(picture, drawing):
+    assert PAGES.is_drawing(picture) == drawing
 
 
 @pytest.mark.parametrize(
