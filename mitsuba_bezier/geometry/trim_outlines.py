@@ -98,11 +98,56 @@ def _least(uv: np.ndarray) -> np.ndarray:
     return np.minimum(np.minimum(uv[:, 0], uv[:, 1]), 1 - uv.sum(axis=1))
 
 
+@dataclass
+class _Pieces:
+    """Pieces of all trimming curves with surface on one side: what does not depend on the nets."""
+
+    patch: np.ndarray
+    curve: np.ndarray
+    t: np.ndarray  #: (N, 2)
+    a: np.ndarray  #: (N, 2), start, middle and end
+    middle: np.ndarray
+    b: np.ndarray
+    left: np.ndarray  #: (N, 2), across the chord
+    side: np.ndarray
+
+
 def trim_segments(patches: BezierTriangles, trims: Trims) -> TrimSegments:
     """Return the pieces of trimming curves that are borders of the surface.
 
-    A curve that runs along an edge of a patch is left to that edge, if it is an open one.
+    A curve that runs along an edge of a patch is left to that edge, if it is an open one. What
+    the trims alone decide is kept with them, since nets change where trims stay.
     """
+    pieces: _Pieces = trims.made_once("pieces", lambda: _pieces(trims))
+    middle, side = pieces.middle, pieces.side
+    # along an edge: that of the patch on whose side the surface is, if the edge is not open
+    bary = np.stack([1 - middle.sum(axis=1), middle[:, 0], middle[:, 1]], axis=1)
+    edge = np.abs(bary).argmin(axis=1)
+    along = np.abs(bary[np.arange(len(bary)), edge]) < _ALONG
+    inwards = ((1 / 3 - middle) * pieces.left).sum(axis=1) * side > 0
+    is_open = np.isin(3 * pieces.patch + edge, open_edges(patches))
+    good = ~along | (inwards & ~is_open)
+    found = TrimSegments(
+        pieces.patch[good], pieces.curve[good], pieces.t[good], pieces.a[good], pieces.b[good],
+        side[good], np.ones(int(good.sum())),
+    )  # fmt: skip
+    arcs = _arcs(patches, found.patch, found.a, middle[good], found.b)
+    # a patch that ends there has an edge, which counts
+    edges = edge_segments(patches)
+    middle = (edges.a + edges.b) / 2
+    there = trims.made_once(
+        "edges",
+        lambda: trims.inside(edges.patch, middle + _ASIDE * (1 / 3 - middle)),
+        (edges.patch.tobytes(), middle.tobytes()),
+    )
+    of_edges = _arcs(patches, *(x[there] for x in (edges.patch, edges.a, middle, edges.b)))
+    found.weight[_run_along(arcs, arcs, same=True)] = 0.5
+    found.weight[_run_along(arcs, of_edges)] = 0.0
+    return found
+
+
+def _pieces(trims: Trims) -> _Pieces:
+    """Cut trimming curves where they leave their patches, and see on which side surface is."""
     curves = [c for region in trims.regions for c in region]
     firsts = np.cumsum([0] + [len(region) for region in trims.regions])
     pairs = [
@@ -143,25 +188,8 @@ def trim_segments(patches: BezierTriangles, trims: Trims) -> TrimSegments:
     side = np.where(sides[0], 1.0, -1.0)
     # shorter ones touch the patch from outside
     good = (sides[0] != sides[1]) & (length[:, 0] > 10 * _ALONG)
-    # along an edge: that of the patch on whose side the surface is, if the edge is not open
-    bary = np.stack([1 - middle.sum(axis=1), middle[:, 0], middle[:, 1]], axis=1)
-    edge = np.abs(bary).argmin(axis=1)
-    along = np.abs(bary[np.arange(len(bary)), edge]) < _ALONG
-    inwards = ((1 / 3 - middle) * left).sum(axis=1) * side > 0
-    is_open = np.isin(3 * patch + edge, open_edges(patches))
-    good &= ~along | (inwards & ~is_open)
-    found = TrimSegments(
-        patch[good], curve[good], t[good], a[good], b[good], side[good], np.ones(int(good.sum()))
-    )
-    arcs = _arcs(patches, found.patch, found.a, middle[good], found.b)
-    # a patch that ends there has an edge, which counts
-    edges = edge_segments(patches)
-    middle = (edges.a + edges.b) / 2
-    there = trims.inside(edges.patch, middle + _ASIDE * (1 / 3 - middle))
-    of_edges = _arcs(patches, *(x[there] for x in (edges.patch, edges.a, middle, edges.b)))
-    found.weight[_run_along(arcs, arcs, same=True)] = 0.5
-    found.weight[_run_along(arcs, of_edges)] = 0.0
-    return found
+    rows = patch, curve, t, a, middle, b, left, side
+    return _Pieces(*(x[good] for x in rows))
 
 
 def _arcs(patches: BezierTriangles, patch: np.ndarray, *places: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -174,6 +174,16 @@ class Trims:
         for name in ("square", "place", "arc"):
             setattr(out, name, np.concatenate([getattr(p, name) for p in parts]))
         return out
+
+    def made_once(self, name: str, make: Callable[[], Any], key: Hashable = None) -> Any:
+        """Return what was made of these trims and a key, made now if the last key was another.
+
+        Nothing of the trims may be changed after that.
+        """
+        kept: dict[str, tuple[Hashable, Any]] = self.__dict__.setdefault("_made", {})
+        if name not in kept or kept[name][0] != key:
+            kept[name] = key, make()
+        return kept[name][1]
 
     def unit(self, patch: np.ndarray, uv: np.ndarray) -> np.ndarray:
         """Return the coordinates in the unit square, after the arcs, ``(N, 2)``."""

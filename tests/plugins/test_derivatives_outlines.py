@@ -429,3 +429,49 @@ def bernstein_point(net: np.ndarray, t: float) -> np.ndarray:
     while len(net) > 1:
         net = (1 - t) * net[:-1] + t * net[1:]
     return net[0, :2] / net[0, 2]
+
+
+def test_trimming_curves_in_a_mirror():
+    """A round hole that grows and moves in an instance of its surface, seen in a mirror alone."""
+    shape = {
+        **cut(0.4),
+        "bsdf": {"type": "diffuse", "reflectance": 0.7},
+        "instances": tensor(TURNED[None, :3]),
+    }
+    scene = seen_by(30, mirror=plane_mirror(), surface=shape)
+    params = mi.traverse(scene)
+    points = np.array(params[TRIMMED[1]])
+    # of the hole alone: the border of the square stays
+    hole = np.hypot(*(points[:, :2] / points[:, 2:] - (0.45, 0.55)).T) < 0.44
+    change = np.zeros_like(points)
+    middle = np.array([0.4, 0.6, 1.0])
+    change[hole] = points[hole] - points[hole, 2:] * middle
+    w = weights(SIDE) * np.linspace(0, 2, SIDE, dtype=np.float32)[:, None]
+    full = mi.load_dict({"type": "bezier_prb_projective", "max_depth": 3, **SPARSE})
+    (got,) = derivatives(full, scene, TRIMMED[1:], w, 1024)
+    # 3 % are noise, of pixels that the curve crosses
+    want = central(scene, TRIMMED[1], change, w, 8100, 0.02, 3)
+    assert (got * change).sum() == pytest.approx(want, rel=0.1)
+
+
+def test_pieces_of_trimming_curves_are_found_once_for_all_nets():
+    first = mi.load_dict(cut(1.0))
+    patches, trims = first.patches, first.trims
+    calls = []
+    own = type(trims).inside
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(type(trims), "inside", lambda *a: calls.append(1) or own(*a))
+        one = trim_segments(patches, trims)
+        assert len(calls) == 3
+        moved = patches.transform(np.diag([1.0, 2.0, 0.5, 1.0]))
+        two = trim_segments(moved, trims)
+        assert len(calls) == 3
+    # and as if they had been found for this net alone
+    again = trim_segments(moved, trims[:])
+    for name in ("patch", "curve", "t", "a", "b", "side", "weight"):
+        assert np.array_equal(getattr(two, name), getattr(again, name)), name
+        assert np.array_equal(getattr(one, name), getattr(two, name)), name
+    # a patch that leaves another one opens edges
+    apart = patches[:1]
+    alone = trim_segments(apart, trims[:1])
+    assert len(alone) and (alone.patch == 0).all()

@@ -13,6 +13,7 @@ from mitsuba_bezier.errors import BezierError
 from mitsuba_bezier.optics import beam, distortion, first_order, focused, load, stopped_down, trace
 from mitsuba_bezier.optics.backwards import backwards
 from mitsuba_bezier.optics.paraxial import trace_paraxial
+from mitsuba_bezier.plugins.lens.surfaces import Blades
 
 LENS = Path(__file__).parents[2] / "scenes/lenses/double_gauss.csv"
 FILM = {"type": "hdrfilm", "width": 60, "height": 40}
@@ -242,3 +243,17 @@ def test_it_stands_where_a_file_says(tmp_path):
     toward = np.array([-1, 3, -2]) / np.sqrt(14)
     # a cone of f/2 around the axis
     assert (d[weight > 0] @ toward > 0.96).all() and (weight > 0).any()
+
+
+@pytest.mark.parametrize("count", [0, 3, 5, 8])
+def test_share_of_circles_that_blades_leave_open(count):
+    blades = Blades(count, 17.0)
+    n = 100_000
+    angle = 2 * np.pi * (np.arange(n) + 0.5) / n
+    radius = 2.0
+    height = np.linspace(0.02, 1.99, 30)
+    got = blades.share(height, radius)
+    for h, share in zip(height, got):
+        inside = np.broadcast_to(blades.open(h * np.cos(angle), h * np.sin(angle), radius), n)
+        # each end of an arc is off by a step at most
+        assert share == pytest.approx(inside.mean(), abs=2 * max(count, 1) / n)

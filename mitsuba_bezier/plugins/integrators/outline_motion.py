@@ -12,6 +12,7 @@ import mitsuba as mi
 from ...kernels.trim import keep
 from ..interaction import Preliminary
 from ..scene import SceneRays
+from .trim_motion import TrimMotion
 
 __all__ = ["Outline"]
 
@@ -43,10 +44,21 @@ class Outline:
     t: Any = None  #: Float, where on the ray
     known: Any = None  #: Bool, False where it is not clear
 
-    DRJIT_STRUCT = dict.fromkeys(("near", "far", "p", "q", "n", "m", "t", "known"), Any)
+    cut: Any = None  #: Bool: it is a trimming curve with derivatives
+    row: Any = None  #: UInt, of its segment
+    s: Any = None  #: Float, where on that
+
+    DRJIT_STRUCT = dict.fromkeys(
+        ("near", "far", "p", "q", "n", "m", "t", "known", "cut", "row", "s"), Any
+    )
 
     @staticmethod
-    def passed_by(rays: SceneRays, sides: list[tuple[Any, Preliminary]], active: Any) -> Outline:
+    def passed_by(
+        rays: SceneRays,
+        sides: list[tuple[Any, Preliminary]],
+        active: Any,
+        trims: TrimMotion | None = None,
+    ) -> Outline:
         """Return the outlines between rays that are next to each other.
 
         Parameters
@@ -55,6 +67,8 @@ class Outline:
         sides : list of (mi.Ray3f, Preliminary)
             A ray on each side, and what it meets.
         active : Bool
+        trims : TrimMotion, optional
+            Trimming curves with derivatives.
         """
         data = rays.data
         assert data is not None
@@ -95,6 +109,9 @@ class Outline:
             du, dv, found = _border(_in_trims(data.trim, near.patch, uv, cut), cut)
             cut = cut & found
             line = dr.select(cut, pu * du + pv * dv, line)
+        row, s, moves = mi.UInt32(0), mi.Float(0.0), mi.Bool(False)
+        if trims is not None:
+            row, s, moves = trims.nearest(near.patch, uv, cut)
         if data.scene_has_others:
             other = active & ~near.bezier & near.pi.is_valid() & ~(contour | meeting)
             ray = dr.select(before, ray_a, ray_b)
@@ -109,9 +126,10 @@ class Outline:
         n = dr.select(meeting, si.n / dr.dot(si.n, d), n)
         other = dr.select(meeting, -behind.n / dr.dot(behind.n, d), 0.0)
         t = near.pi.t
-        return Outline(near, far, si.p, behind.p, dr.select(known, n, 0.0), other, t, known)
+        n = dr.select(known, n, 0.0)
+        return Outline(near, far, si.p, behind.p, n, other, t, known, moves, row, s)
 
-    def gap(self, tables: Any, ray: Any) -> Any:
+    def gap(self, tables: Any, ray: Any, trims: TrimMotion | None = None) -> Any:
         """Return what is 0 where a ray passes the outline, with derivatives by ray and shapes.
 
         Of a contour or an edge it is the distance between ray and outline, across both; of a line
@@ -119,6 +137,12 @@ class Outline:
         """
         along = ray.o + self.t * ray.d
         gap = dr.dot(self.n, _moving(tables, self.near, self.p) - along)
+        if trims is not None:
+            uv, place = self.near.pi.prim_uv, tables.place(self.near.pi.shape_index, self.cut)
+            _p, pu, pv = tables.partials(self.near.patch, uv.x, uv.y, self.cut, place)
+            du, dv = trims.shift(self.row, self.s, self.cut)
+            shift = dr.dot(self.n, dr.detach(pu)) * du + dr.dot(self.n, dr.detach(pv)) * dv
+            gap += dr.select(self.cut, shift, 0.0)
         return gap + dr.dot(self.m, _moving(tables, self.far, self.q) - along)
 
 

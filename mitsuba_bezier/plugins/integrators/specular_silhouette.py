@@ -15,6 +15,7 @@ from .outline_motion import Outline
 from .path_tracing import trace
 from .primary_silhouette import FilmMap, splatted
 from .specular_chains import LONGEST, FilmChains, SpecularChains
+from .trim_motion import TrimMotion
 
 __all__ = ["crossing_light", "specular_silhouette_image"]
 
@@ -112,16 +113,19 @@ def crossing_light(
             ray, hit = met[-1]
             value, _valid = trace(integrator, scene, own, ray, active, hit, before + last)
             radiance.append(dr.select(active, value * factor, 0.0))
-        outline = Outline.passed_by(rays, [met[-1] for met, _weight, _good in sides], active)
+        assert rays.data is not None
+        with dr.resume_grad():
+            trims = TrimMotion.of(rays.data)
+        met_last = [met[-1] for met, _weight, _good in sides]
+        outline = Outline.passed_by(rays, met_last, active, trims)
         position = mi.Point2f(0.5 * (low + high))
         dr.eval(radiance, outline, position)
 
     def gap(place: Any, side: int = 0) -> Any:
         ray = chains.attached(line, place, last, sides[side][0])
-        return outline.gap(tables, ray)
+        return outline.gap(tables, ray, trims)
 
     with rays.attach(dr.ADMode.Backward):
-        assert rays.data is not None
         tables = rays.data.attached or attached_tables(rays.data.tables, rays.data.shapes)
         slope = [_slope(gap, position, k) for k in range(2)]
         square = dr.square(slope[0]) + dr.square(slope[1])

@@ -25,7 +25,7 @@ from .surfaces import Blades, Surfaces, meet, refracted
 __all__ = ["make_lens_class"]
 
 #: Points across the exit pupil that find how bright the middle of the film is.
-_BRIGHT = 400
+_BRIGHT = 20_000
 _CHANNEL_NANOMETRES = tuple(1e3 * w for w in CHANNELS)
 #: Share of the rays that go through the pupil if ghosts are looked for through all of the glass.
 _PUPIL_SHARE = 0.75
@@ -439,19 +439,20 @@ def _middle(
     layers: Any,
 ) -> float:
     """Return the irradiance of the middle of the film under a white field of radiance 1."""
-    x0, y0, x1, y1 = bounds
-    u = x0 + (np.arange(_BRIGHT) + 0.5) / _BRIGHT * (x1 - x0)
-    v = y0 + (np.arange(_BRIGHT) + 0.5) / _BRIGHT * (y1 - y0)
-    x, y = (a.ravel() for a in np.meshgrid(u, v))
-    o = np.tile([0.0, 0.0, -distance], (len(x), 1))
-    d = np.stack([x, y, np.full_like(x, distance)], axis=1)
-    cosine = distance / np.linalg.norm(d, axis=1)
+    # all is round but the blades, so rays along one radius tell what all do
+    reach = float(np.abs(bounds).max()) * np.sqrt(2.0)
+    r = (np.arange(_BRIGHT) + 0.5) / _BRIGHT * reach
+    zero = np.zeros_like(r)
+    o = np.stack([zero, zero, zero - distance], axis=1)
+    d = np.stack([r, zero, zero + distance], axis=1)
+    cosine = distance / np.hypot(r, distance)
     result = trace(back, o, d, wavelength)
     at = result.local[back.stop]
     radius = back.surfaces[back.stop].semi_diameter
     with np.errstate(invalid="ignore"):
-        ok = result.valid & blades.open(at[:, 0], at[:, 1], radius)
-    found = float((cosine[ok] ** 4).mean() * ok.mean() * (x1 - x0) * (y1 - y0) / distance**2)
+        share = blades.share(np.hypot(at[:, 0], at[:, 1]), radius)
+    share = np.where(result.valid, share, 0.0)
+    found = float((cosine**4 * share * r).sum() * 2 * np.pi * reach / _BRIGHT / distance**2)
     if layers is not None:  # what bare or coated glass lets through along the axis
         n = back.indices(wavelength)
         for before, behind in pairwise(n):

@@ -47,6 +47,24 @@ class Blades:
             inside = inside & (b * y - a * x <= radius * self.inner)
         return inside
 
+    def share(self, height: np.ndarray, radius: float) -> np.ndarray:
+        """Return which part of circles about the axis is open, of arrays of NumPy.
+
+        Parameters
+        ----------
+        height : (N,) array
+            Their radii.
+        radius : float
+            That of the stop.
+        """
+        count = len(self.normals)
+        if not count:
+            return np.ones_like(height)
+        inner = radius * self.inner
+        # each blade covers an arc of a circle that is larger than the polygon's inner one
+        half = np.arccos(np.minimum(inner / np.maximum(height, inner), 1.0))
+        return np.maximum(1 - count * half / np.pi, 0.0)
+
 
 class Surfaces:
     """Curvatures, conics, thicknesses and polynomials on the device, and clear radii.
