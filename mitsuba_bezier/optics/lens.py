@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -247,6 +249,43 @@ class Lens:
     def crossings(self) -> list[str]:
         """Return a sentence for each pair of neighbours that cross inside their clear apertures."""
         return list(crossings(self))
+
+    def report(self, wavelength: float | None = None) -> str:
+        """Return first-order data, surfaces, distortion and spots as text of several lines.
+
+        Parameters
+        ----------
+        wavelength : float, optional
+            As of `optics.report`, which this is.
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.optics import Lens, Surface
+        >>> print(Lens([Surface(-1 / 200, -100, mirror=True)]).report().splitlines()[1].split())
+        ['effective', 'focal', 'length', '100']
+        """
+        # what this module knows nothing of
+        return str(import_module(f"{__package__}.report").report(self, wavelength))
+
+    def scene(self, **options: Any) -> dict[str, dict[str, Any]]:
+        """Return the surfaces, edges and stop as shapes for a scene dictionary.
+
+        Parameters
+        ----------
+        **options
+            Those of `optics.lens_shapes`, which this is: ``to_world``, ``dispersion``, ...
+
+        Examples
+        --------
+        >>> from mitsuba_bezier.optics import Abbe, Lens, Surface
+        >>> front = Surface(1 / 50, 4, Abbe(1.5168, 64.17), semi_diameter=10)
+        >>> lens = Lens([front, Surface(-1 / 50, 47, semi_diameter=10)])
+        >>> sorted(lens.scene(stop=False))
+        ['edge-1', 'surface-1', 'surface-2']
+        """
+        shapes: dict[str, dict[str, Any]]
+        shapes = import_module(f"{__package__}.patches").lens_shapes(self, **options)
+        return shapes
 
     def scaled(self, factor: float) -> Lens:
         """Return the lens `factor` times as large, with beams and fields of lengths as well."""

@@ -18,6 +18,7 @@ from mitsuba_bezier.optics import (
     first_order,
     glass,
     lens_shapes,
+    report,
     surface_patches,
     surface_shape,
     trace,
@@ -355,3 +356,14 @@ def test_mirrors_and_stops_are_shapes():
     shapes = lens_shapes(lens, to_world=np.diag([1.0, 1.0, 1.0, 1.0]))
     assert set(shapes) == {"stop", "surface-2"}
     assert isinstance(shapes["surface-2"]["control_points"], mb.BezierTriangles)
+
+
+def test_methods_of_a_lens_are_the_functions():
+    front = Surface(1 / 50, 4, Abbe(1.5168, 64.17), semi_diameter=10, stop=True)
+    lens = Lens([front, Surface(-1 / 50, 47, semi_diameter=10)], aperture=("diameter", 8.0))
+    assert lens.report() == report(lens) and lens.report(0.5) == report(lens, 0.5) != report(lens)
+    for more in ({}, {"edges": False}, {"stop": False, "wavelength": 0.5}):
+        ours, theirs = lens.scene(**more), lens_shapes(lens, **more)
+        assert ours.keys() == theirs.keys() and str(ours) == str(theirs)
+    with pytest.raises(TypeError, match="bladez"):
+        lens.scene(bladez=5)
