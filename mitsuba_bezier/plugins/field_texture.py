@@ -12,6 +12,7 @@ from ..errors import BezierError
 from ..geometry import bernstein
 from ..geometry.fields import MAGNITUDE
 from ..kernels.arrays import upload
+from ..kernels.float64_use import uses_pairs
 from ..kernels.patch import bernstein_basis
 from .colormaps import banded, color_table, linear_rgb
 from .field_parameters import (
@@ -138,7 +139,15 @@ def make_field_class() -> type:
             if field.weights is not None:
                 values = np.concatenate([values, field.weights[..., None]], axis=2)
             self.row = values.shape[1] * values.shape[2]
-            self.values = upload(mi.Float64, values.ravel())
+            #: Type of values, and what they are counted from: float32 has room for differences.
+            self.number, self.vector, self.offset = mi.Float64, mi.Vector3d, 0.0
+            if uses_pairs(mi.Float):
+                self.number, self.vector = mi.Float, mi.Vector3f
+                if self.component != MAGNITUDE:
+                    self.offset = sum(self.limits) / 2
+                    weight = 1.0 if field.weights is None else values[..., 1]
+                    values[..., 0] -= self.offset * weight
+            self.values = upload(self.number, values.ravel())
             self.edges = None
             if self.edge_width:
                 sides = np.ones((len(field), 3), bool) if edges is None else edges
@@ -162,15 +171,15 @@ def make_field_class() -> type:
         # ------------------------------------------------------------ values
 
         def value(self, si: Any, active: Any = True) -> tuple[Any, Any, Any]:
-            """Return the value at a hit and its partials by the parameters, in float64."""
+            """Return the value at a hit, less `offset`, and its partials by the parameters."""
             active = mi.Bool(active)
-            u, v = (mi.Float64(x) for x in parameters_of(self.back, si, active))
+            u, v = (self.number(x) for x in parameters_of(self.back, si, active))
             n, width = self.field.degree, self.channels + (self.field.weights is not None)
             first = si.prim_index * self.row
 
             def net(channel: int) -> list[Any]:
                 return [
-                    dr.gather(mi.Float64, self.values, first + (k * width + channel), active)
+                    dr.gather(self.number, self.values, first + (k * width + channel), active)
                     for k in range(bernstein.size(n))
                 ]
 
@@ -189,7 +198,7 @@ def make_field_class() -> type:
         def scaled(self, value: Any) -> Any:
             """Return a value as a number from 0 to 1 between the limits."""
             low, high = self.limits
-            return mi.Float((value - low) / (high - low))
+            return mi.Float((value - (low - self.offset)) / (high - low))
 
         # ------------------------------------------------------------ lines
 
@@ -214,7 +223,7 @@ def make_field_class() -> type:
                 return dr.sqrt(gx * gx + gy * gy)
 
             if self.isolines > 1:
-                low, high = self.limits
+                low, high = (x - self.offset for x in self.limits)
                 step = (high - low) / self.isolines
                 # not at the ends: where the field has its extrema, lines shrink to points
                 nearest = dr.clip(dr.round((value - low) / step), 1.0, self.isolines - 1.0)
@@ -222,29 +231,29 @@ def make_field_class() -> type:
                 slope = per_pixel(fu, fv)
                 isoline = seen & (slope > 0) & (off < 0.5 * self.width * slope)
             if self.edges is not None:
-                u, v = (mi.Float64(x) for x in parameters_of(self.back, si, active))
+                u, v = (self.number(x) for x in parameters_of(self.back, si, active))
                 sides = dr.gather(mi.UInt32, self.edges, si.prim_index, active)
                 for bit, (at, du, dv) in enumerate(
                     ((u, 1.0, 0.0), (v, 0.0, 1.0), (1.0 - u - v, -1.0, -1.0))
                 ):
                     # half of it on either side: the other half is the neighbour's
-                    near = at < 0.5 * self.edge_width * per_pixel(mi.Float64(du), mi.Float64(dv))
+                    near = at < 0.5 * self.edge_width * per_pixel(self.number(du), self.number(dv))
                     edge = edge | (seen & near & ((sides & (1 << bit)) != 0))
             return isoline, edge
 
         def _row(self, k: int, x: Any, w: float) -> Any:
             m = self.pixels[k]  # type: ignore[index]
-            x = mi.Vector3d(x)
+            x = self.vector(x)
             return m[0] * x.x + m[1] * x.y + m[2] * x.z + m[3] * w
 
         def _partials(self, si: Any, active: Any) -> tuple[Any, Any]:
             """Return the partials of the point by the parameters of the patch."""
-            pu, pv = mi.Vector3d(si.dp_du), mi.Vector3d(si.dp_dv)
+            pu, pv = self.vector(si.dp_du), self.vector(si.dp_dv)
             if self.back is None:
                 return pu, pv
             # `back` takes texture coordinates to parameters: by its inverse partials go there
             a, b, c, d = (
-                mi.Float64(dr.gather(mi.Float, self.back, 6 * si.prim_index + k, active))
+                self.number(dr.gather(mi.Float, self.back, 6 * si.prim_index + k, active))
                 for k in range(2, 6)
             )
             det = a * d - b * c
@@ -257,7 +266,7 @@ def make_field_class() -> type:
             active = mi.Bool(active)
             value, fu, fv = self.value(si, active)
             if self.table is None:
-                out = mi.UnpolarizedSpectrum(mi.Float(value))
+                out = mi.UnpolarizedSpectrum(mi.Float(value + self.offset))
             elif self.spectra is not None:
                 where = self._entry(value)
                 parts = [dr.gather(mi.Float, self.spectra, 3 * where + k, active) for k in range(3)]
@@ -269,7 +278,7 @@ def make_field_class() -> type:
             return dr.select(isoline, self._line(self.isoline_color), out)
 
         def eval_1(self, si: Any, active: Any = True) -> Any:
-            return mi.Float(self.value(si, active)[0])
+            return mi.Float(self.value(si, active)[0] + self.offset)
 
         def eval_1_grad(self, si: Any, active: Any = True) -> Any:
             _value, fu, fv = self.value(si, active)
@@ -284,7 +293,10 @@ def make_field_class() -> type:
         def eval_3(self, si: Any, active: Any = True) -> Any:
             active = mi.Bool(active)
             value, fu, fv = self.value(si, active)
-            rgb = mi.Color3f(mi.Float(value)) if self.table is None else self._rgb(value, active)
+            if self.table is None:
+                rgb = mi.Color3f(mi.Float(value + self.offset))
+            else:
+                rgb = self._rgb(value, active)
             isoline, edge = self._on_line(si, value, fu, fv, active)
             rgb = dr.select(edge, mi.Color3f(self.edge_color), rgb)
             return dr.select(isoline, mi.Color3f(self.isoline_color), rgb)
@@ -343,10 +355,10 @@ def make_field_class() -> type:
 def _jet(net: list[Any], n: int, u: Any, v: Any) -> tuple[Any, Any, Any]:
     """Return a polynomial and its partials, by the last step of de Casteljau's algorithm."""
     if n == 0:
-        zero = dr.zeros(mi.Float64, dr.width(u))
+        zero = dr.zeros(type(u), dr.width(u))
         return net[0], zero, zero
     basis = [1.0] if n == 1 else bernstein_basis(n - 1, u, v, 1.0 - u - v)
-    a = b = c = mi.Float64(0.0)
+    a = b = c = type(u)(0.0)
     for factor, (i, j, _k) in zip(basis, bernstein.multi_indices(n - 1).tolist()):
         a = a + factor * net[bernstein.row(n, i + 1, j)]
         b = b + factor * net[bernstein.row(n, i, j + 1)]

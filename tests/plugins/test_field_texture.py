@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from backend_cases import VARIANT
+from backend_cases import VARIANT, has_float64
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import io
@@ -16,6 +17,7 @@ from mitsuba_bezier.geometry import bernstein
 from mitsuba_bezier.geometry.camera import Camera, look_at
 from mitsuba_bezier.geometry.fields import BezierField
 from mitsuba_bezier.geometry.triangles import BezierTriangles
+from mitsuba_bezier.kernels import float64_use
 from mitsuba_bezier.plugins.colormaps import banded, color_table, linear_rgb
 
 
@@ -129,6 +131,32 @@ def test_values_at_ten_thousand_hits(geometry, rational, degree, offset):
     )  # fmt: skip
     assert np.abs(np.array(texture.eval_1(si)) - expected).max() <= tolerance + 1e-7 * offset
     assert high - low > 0.4
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_values_without_float64(weighted, offset, monkeypatch):
+    """The same tolerance, as values are counted from the middle of their range."""
+    monkeypatch.setattr(float64_use, "_chosen", "never")
+    patches = curved(3, True)
+    field = field_of(3, rational=weighted)
+    field.ordinates += offset * (1.0 if field.weights is None else field.weights[..., None])
+    given = {"type": "bezierfield", "ordinates": field, "isolines": 7, "world_to_pixel": np.eye(4)}
+    texture = mi.load_dict({**given, "minimum": offset - 2.0, "maximum": offset + 2.0})
+    si, patch, uv = hits(patches, texture)
+    expected = field.evaluate(patch, uv)[:, 0] - offset
+    low, high = field.range()
+    value = texture.value(si)[0]
+    assert texture.offset == offset and type(value) is mi.Float
+    assert np.abs(np.array(value) - expected).max() <= 1e-5 * (high - low)
+    scaled = np.array(texture.scaled(value))
+    assert np.abs(scaled - (expected + 2) / 4).max() <= 1e-5 * (high - low)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        dr.eval(texture.eval(si))
+        texts = [h["ir"] for h in dr.kernel_history() if "ir" in h]
+    assert texts
+    assert not any(has_float64(x if isinstance(x, str) else x.read()) for x in texts)
 
 
 @pytest.mark.parametrize("rational", [False, True])
