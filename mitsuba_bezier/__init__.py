@@ -29,7 +29,8 @@ from .errors import (  # noqa: E402
     VariantError,
 )
 
-_runtime.prepare()  # before anything imports Dr.Jit, which looks for LLVM at once
+if not _children.reads():
+    _runtime.prepare()  # before anything imports Dr.Jit, which looks for LLVM at once
 
 from .geometry.camera import Camera  # noqa: E402
 from .geometry.covers import quadric_cover, ruled_cover, sphere  # noqa: E402
@@ -200,8 +201,9 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-try:
-    register()
-except RuntimeSetupError:
-    # the geometry works without Mitsuba; whoever needs more meets the error there
-    pass
+if not _children.reads():
+    try:
+        register()
+    except RuntimeSetupError:
+        # the geometry works without Mitsuba; whoever needs more meets the error there
+        pass

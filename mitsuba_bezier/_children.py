@@ -10,7 +10,10 @@ from __future__ import annotations
 import os  # with sys the only import: any other could come from the current folder
 import sys
 
-__all__ = ["leave_current_folder", "program", "python_command"]
+__all__ = ["READER", "leave_current_folder", "program", "python_command", "reads"]
+
+#: Set to the number of its parent for a process that only reads a file.
+READER = "MITSUBA_BEZIER_READER"
 
 #: Runs before anything is imported from a file. What an isolated Python has itself stays, even
 #: where it is the current folder: someone installed it there.
@@ -66,6 +69,11 @@ def leave_current_folder() -> None:
             if ours and sys.path and _is_current(sys.path[0]):
                 del sys.path[0]
             return
+
+
+def reads() -> bool:
+    """Return whether this process only reads a file, and needs no Mitsuba, which takes a while."""
+    return os.environ.get(READER) == str(os.getppid())
 
 
 def _is_current(folder: str) -> bool:

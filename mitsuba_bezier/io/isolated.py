@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from .._children import python_command
+from .._children import READER, python_command
 from .._files import temporary_folder
 from ..errors import BezierError, FileFormatError
 from .files import damaged, read_bytes
@@ -75,7 +75,12 @@ def read_isolated(module: str, path: str | PathLike[str], trims: bool = False) -
                 stdin=theirs,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
-                env={**os.environ, "TMPDIR": folder},  # what it leaves goes with the folder
+                env={
+                    "OPENBLAS_NUM_THREADS": "1",  # its matrices are small
+                    **os.environ,
+                    "TMPDIR": folder,  # what it leaves goes with the folder
+                    READER: str(os.getpid()),
+                },
             )
             try:
                 stderr = _wait(process, seconds)

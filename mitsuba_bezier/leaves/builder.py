@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from .._threads import one_thread
 from ..geometry.proper_nets import free_of_factor, spans_area
 from ..geometry.triangles import BezierTriangles
 from ..geometry.trim_cells import UntrimmedParts
@@ -26,6 +27,7 @@ __all__ = ["build_leaves", "rebuild_leaves"]
 _CHUNK = 4096
 
 
+@one_thread()
 def build_leaves(
     patches: BezierTriangles, settings: LeafSettings | None = None, trims: Trims | None = None
 ) -> Leaves:

@@ -19,6 +19,7 @@ LAYERS = {
     "_version": 0,
     "_children": 0,
     "_signals": 0,
+    "_threads": 0,
     "_files": 1,
     "_llvm": 1,
     "_runtime": 2,

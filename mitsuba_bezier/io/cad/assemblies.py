@@ -110,6 +110,10 @@ class Document:
         settle()  # the reader has defined the settings
         for mode in ("SetColorMode", "SetNameMode", "SetLayerMode"):
             getattr(self.reader, mode)(True)
+        # what takes time and is not asked for; a reader of IGES files does not know them all
+        for mode in ("SetGDTMode", "SetMatMode", "SetMetaMode", "SetPropsMode", "SetViewMode"):
+            if hasattr(self.reader, mode):
+                getattr(self.reader, mode)(False)
         self.done = self.reader.ReadFile(str(path)) == IFSelect.IFSelect_RetDone
 
     def transfer(self) -> None:
