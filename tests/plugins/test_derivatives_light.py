@@ -129,3 +129,44 @@ def test_lights_that_move_are_refused():
         mb.BezierError, match=r"bezierptracer: expected .*bezierpath.*lamp.to_world"
     ):
         integrator.render_backward(scene, params, dr.zeros(mi.TensorXf, (2, 2, 3)), spp=1)
+
+
+def lit(lamp: dict[str, Any]) -> Any:
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 4, "height": 4, "pixel_format": "rgb"},
+        },
+        "wall": {"type": "rectangle"},
+        "lamp": lamp,
+    }
+    return mi.load_dict(scene)
+
+
+LAMPS = {
+    "area": ("lamp.emitter.radiance.value", {"type": "rectangle", "emitter": {"type": "area"}}),
+    "point": ("lamp.intensity.value", {"type": "point", "position": [0, 0, 2.0]}),
+}
+
+
+@pytest.mark.parametrize("kind", LAMPS)
+def test_radiance_of_lights(kind):
+    """The light is linear in it; derivatives were 0, and forward a fault of Dr.Jit."""
+    key, lamp = LAMPS[kind]
+    if kind == "area":
+        lamp["to_world"] = mi.ScalarTransform4f().look_at([0, 1, 2], [0, 0, 0], [0, 0, 1])
+    scene = lit(lamp)
+    params = mi.traverse(scene)
+    integrator = mi.load_dict({"type": "bezierptracer", "max_depth": 3})
+    w = weights(4)
+    want = float((np.array(mi.render(scene, integrator=integrator, spp=4096, seed=1)) * w).sum())
+    dr.enable_grad(params[key])
+    params.update()
+    integrator.render_backward(scene, params, mi.TensorXf(w), seed=1, spp=4096)
+    got = float((np.array(dr.grad(params[key])) * np.array(params[key])).sum())
+    # 65536 paths, others for what is seen at once
+    assert got == pytest.approx(want, rel=0.05)
+    with pytest.raises(Exception, match="bezierptracer: expected reverse mode"):
+        integrator.render_forward(scene, params, seed=1, spp=4)

@@ -137,6 +137,14 @@ def _is_end(node: Any) -> bool:
     return bool(lamp or isinstance(node, mi.Emitter | mi.Sensor))
 
 
+def _reverse_only() -> BezierError:
+    return BezierError.expected(
+        "bezierptracer",
+        "reverse mode for derivatives by the radiance of lights (bezierpath has them forward)",
+        "forward mode",
+    )
+
+
 class LightReplay:
     """The paths of light of one render, as often as its derivative takes them.
 
@@ -181,8 +189,8 @@ class LightReplay:
         if ends:
             raise BezierError.expected(
                 "bezierptracer",
-                "no derivatives by the place of lights and sensors (bezierpath has those by the "
-                "place of area lights)",
+                "no derivatives by the place of lights and sensors, and by pictures of skies "
+                "(bezierpath has those by the place of area lights, and by pictures)",
                 ", ".join(ends),
             )
         self.footprint = Footprint(sensor.film())
@@ -209,13 +217,7 @@ class LightReplay:
         colour = _colour(dr.select(lit, value, 0.0) * self.scale, si.wavelengths)
         position = mi.Point2f(dr.detach(ds.uv))
         if self.forward:
-            dr.forward_to(colour, flags=dr.ADFlag.ClearEdges)
-            change = mi.Color3f(dr.grad(colour))
-            still = (position, mi.Vector2f(0.0))
-            with dr.suspend_grad():
-                fixed = dr.detach(colour)
-                self.footprint.splat(self.image, self.channels, still, (fixed, change), lit)
-            return
+            raise _reverse_only()
         seen = self.footprint.seen(self.image, self.channels, position, lit)
         dr.backward_from(dr.sum(colour * dr.detach(seen)))
 
@@ -233,7 +235,8 @@ class LightReplay:
             ray, carried, _emitter = self.emitters.sample_ray(
                 self.time(), sampler.next_1d(), sampler.next_2d(), sampler.next_2d(), mi.Bool(True)
             )
-        return mi.Ray3f(dr.detach(ray)), mi.Spectrum(carried)
+            # within: a copy made while derivatives are suspended has none
+            return mi.Ray3f(dr.detach(ray)), mi.Spectrum(carried)
 
     def trace(self, sampler: Any, rest: Any = None) -> Any:
         """Follow the light from surface to surface.
@@ -256,11 +259,10 @@ class LightReplay:
         )
         ray, carried = self.start(sampler)
         change = mi.Spectrum(0.0)
-        if self.forward and dr.grad_enabled(carried):
-            dr.forward_to(carried, flags=dr.ADFlag.ClearEdges)
-            change = mi.Spectrum(dr.grad(carried))
-        elif rest is not None and dr.grad_enabled(carried):
-            with dr.resume_grad():
+        with dr.resume_grad():
+            if derives and dr.grad_enabled(carried):
+                if self.forward:
+                    raise _reverse_only()
                 dr.backward_from(dr.sum(rest * relative(carried)))
         carried = dr.detach(carried)
         state = {

@@ -43,7 +43,8 @@ def _turning(found: list[tuple[str, Any, Any]]) -> tuple[list[str], bool]:
     turning, boundaries = [], False
     for key, node, flags in found:
         delta = isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Delta)
-        moves = isinstance(node, mi.Shape | mi.Emitter | mi.Sensor) or delta
+        # emitters that move are refused elsewhere: what is left are pictures
+        moves = isinstance(node, mi.Shape | mi.Sensor) or delta
         if moves and flags & mi.ParamFlags.Discontinuous:
             if is_boundary(node):
                 boundaries = True
