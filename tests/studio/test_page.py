@@ -172,7 +172,8 @@ def opened(browser, studio, width: int, height: int):
     page.add_style_tag(content=".mantine-Notification-root { display: none !important }")
     # the view is set by the server, and told back by the browser
     assert waited(lambda: studio._views and studio.refined(1))
-    assert waited(lambda: shows(page, studio, width, height))
+    # a screenshot takes a second of the processor that the page needs
+    assert waited(lambda: shows(page, studio, width, height), 1.0)
     return page
 
 
@@ -259,7 +260,7 @@ def test_a_point_is_dragged_with_the_mouse(variant, tmp_path, browser, size):
             return inside > 1500 and outside == 0
 
         # what was sent is shown some time later
-        assert waited(follows)
+        assert waited(follows, 1.0)
         # one step back is the whole drag
         page.get_by_text("undo", exact=True).click()
         assert waited(lambda: np.array_equal(studio.state.places, places))
@@ -318,7 +319,7 @@ def test_weights_files_and_a_second_tab(variant, tmp_path, browser, monkeypatch)
         place = studio.state.places[0].copy()
         at = seen_at(studio, place, 800, 500)
         page.bring_to_front()
-        assert waited(lambda: shows(page, studio, 800, 500))
+        assert waited(lambda: shows(page, studio, 800, 500), 1.0)
         page.mouse.move(*at)
         page.mouse.down()
         page.mouse.move(*(at + np.array([20, 10])), steps=4)
