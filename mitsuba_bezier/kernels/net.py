@@ -7,22 +7,22 @@ from typing import Any
 import drjit as dr
 
 from ..geometry import bernstein
+from ..leaves.nets import Powers
 from .arrays import four_zeros, gather_row, gather_row_wide, reciprocal
 from .two_float import TwoFloat, coarse, fma
 
 __all__ = ["graph_point", "horner", "horner_value", "rolled_horner"]
 
 
-def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], ...]:
+def horner(coefficients: list[Any], powers: int | Powers, u: Any, v: Any) -> tuple[list[Any], ...]:
     """Evaluate a polynomial map and its first partials.
 
     Parameters
     ----------
     coefficients : list
-        ``K * C`` arrays, rows in net order (`bernstein.multi_indices`: ``u^i v^j``), `C`
-        components a row.
-    n : int
-        Degree.
+        Arrays, `C` components a row, rows in the order of `Powers.indices`: ``u^a v^b``.
+    powers : Powers or int
+        Of all components; a number is a degree.
     u, v : Float
         Parameters. If they are `TwoFloat`, so is the value; partials are coarse.
 
@@ -30,23 +30,22 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
     -------
     value, d_du, d_dv : lists of `C` arrays
     """
-    width = len(coefficients) // bernstein.size(n)
+    powers = Powers.whole(powers) if isinstance(powers, int) else powers
+    width = len(coefficients) // powers.size
     value: list[Any] = []
     d_du: list[Any] = []
     d_dv: list[Any] = []
     for c in range(width):
         s = su = sv = None
-        for i in range(n, -1, -1):
-            r = coefficients[bernstein.row(n, i, n - i) * width + c]
-            rv = None
-            for j in range(n - i - 1, -1, -1):
+        row = iter(coefficients[c::width])
+        for a in range(powers.p, -1, -1):
+            r, rv = next(row), None
+            for _ in range(powers.top(a)):
                 rv = coarse(r) if rv is None else dr.fma(rv, coarse(v), coarse(r))
-                r = fma(r, v, coefficients[bernstein.row(n, i, j) * width + c])
-            if s is None:
-                s = r
-                continue
-            su = coarse(s) if su is None else dr.fma(su, coarse(u), coarse(s))
-            s = fma(s, u, r)
+                r = fma(r, v, next(row))
+            if s is not None:
+                su = coarse(s) if su is None else dr.fma(su, coarse(u), coarse(s))
+            s = r if s is None else fma(s, u, r)
             sv = rv if sv is None else dr.fma(sv, coarse(u), rv)
         value.append(s)
         d_du.append(su)
@@ -55,20 +54,28 @@ def horner(coefficients: list[Any], n: int, u: Any, v: Any) -> tuple[list[Any], 
 
 
 def rolled_horner(
-    rows: Any, first: Any, degree: Any, u: Any, v: Any, active: Any, pairs: bool = False
+    rows: Any,
+    first: Any,
+    powers: tuple[Any, Any, Any],
+    u: Any,
+    v: Any,
+    active: Any,
+    pairs: bool = False,
 ) -> tuple[list[Any], ...]:
-    """Do what `horner` does with nets in memory, of four components, and each of its own degree.
+    """Do what `horner` does with nets in memory, of four components, and each of its own powers.
 
-    The rows are read in the order in which Horner's method wants them: first that of ``u^n``, then
-    the two with ``u^(n-1)``, and so on. So all rays of a packet are in the same of these levels,
+    The rows are read in the order in which Horner's method wants them: first those of ``u^p``, then
+    those with ``u^(p-1)``, and so on. So all rays of a packet are in the same of these levels,
     and those whose nets are of low degree are the first to be done.
 
     Parameters
     ----------
     rows : Float
         Four numbers a row.
-    first, degree : UInt
-        Number of the first row of a net, and its degree.
+    first : UInt
+        Number of the first row of a net.
+    powers : three UInt
+        Its `Powers`.
     u, v : Float
         Their type is that of all arithmetic; see `horner`.
     active : Bool
@@ -82,6 +89,8 @@ def rolled_horner(
     """
     uint = dr.uint32_array_t(first)
     gather = gather_row_wide if pairs else gather_row
+    p, q, n = powers
+    room = n - p  # for powers of v beside u^p; one more on each level
 
     def converted(x: Any) -> Any:
         if isinstance(u, TwoFloat):
@@ -96,7 +105,7 @@ def rolled_horner(
             return left - 1, row + 1, r, rv
 
         _left, row, r, rv = dr.while_loop(
-            (at + 1, row, four_zeros(u), four_zeros(coarse(u))),
+            (dr.minimum(at + room, q) + 1, row, four_zeros(u), four_zeros(coarse(u))),
             cond=lambda left, *_: active & (left != 0),
             body=step,
             labels=("left", "row", "r", "rv"),
@@ -109,7 +118,7 @@ def rolled_horner(
 
     _at, _row, s, su, sv = dr.while_loop(
         (uint(0), first, four_zeros(u), four_zeros(coarse(u)), four_zeros(coarse(u))),
-        cond=lambda at, *_: active & (at <= degree),
+        cond=lambda at, *_: active & (at <= p),
         body=level,
         labels=("level", "row", "s", "su", "sv"),
         label="bezier level",

@@ -133,7 +133,8 @@ def lay_out(counts: list[tuple[int, int]], like: Any) -> Layout:
     """
     uint = dr.uint32_array_t(like)
     degree = np.repeat([d for d, _n in counts], [n for _d, n in counts])
-    chosen = choose(degree, np.full(len(degree), 4), UNROLLED)
+    powers = np.repeat(degree[:, None], 3, axis=1)
+    chosen = choose(powers, np.full(len(degree), 4), UNROLLED)
     to: dict[int, int | None] = {}
     for choice in chosen:
         to.update(dict.fromkeys(np.unique(degree[choice.numbers]).tolist(), choice.degree))

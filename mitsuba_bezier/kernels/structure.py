@@ -255,7 +255,7 @@ class _Order:
             nets = leaves.graph.nets[those]
             # polynomial patches have weight one on all leaves, up to rounding of float64
             weighted = nets.are_weighted() | (chart == LeafKind.GRAPH_PROJECTIVE)
-            chosen = choose(nets.degree, np.where(weighted, 4, 3))
+            chosen = choose(nets.powers, np.where(weighted, 4, 3))
             buckets.append([replace(c, numbers=those[c.numbers]) for c in chosen])
         group = leaves.closed_form.group
         members = np.argsort(group, kind="stable")

@@ -106,7 +106,7 @@ def chosen(*kinds: tuple[int, int, int]) -> list[tuple[int | None, int, int]]:
     """Choose for (degree, components, count) each; return degree, components, count of buckets."""
     degree = np.concatenate([np.full(n, d) for d, _c, n in kinds])
     components = np.concatenate([np.full(n, c) for _d, c, n in kinds])
-    out = choose(degree, components)
+    out = choose(np.repeat(degree[:, None], 3, axis=1), components)
     every = np.sort(np.concatenate([c.numbers for c in out]))
     assert (every == np.arange(len(degree))).all()
     for c in out:

@@ -18,13 +18,18 @@ from ...geometry import bernstein
 from ..nets import Nets
 from .cover import by_size, to_triangle
 
-__all__ = ["HIGH", "TOLERANCE", "lowered"]
+__all__ = ["HIGH", "TOLERANCE", "allowed", "lowered"]
 
 #: Nets of a higher degree are lowered: those that are read row by row, so that each row counts.
 #: Others gain nothing: of the teapot's rays 99 in 100 meet leaves that need its degree, 6.
 HIGH = 8
 #: What values may be off by: a tenth of a rounding of float32 of a number near one, as leaves are.
 TOLERANCE = 0.1 * 2.0**-24
+
+
+def allowed(n: int) -> float:
+    """Return what coefficients of degree `n` that are left out may add up to."""
+    return min(1.0, 10 / (2 * n)) * TOLERANCE
 
 
 def lowered(net: np.ndarray, size: np.ndarray) -> Nets:
@@ -42,7 +47,7 @@ def lowered(net: np.ndarray, size: np.ndarray) -> Nets:
         The triangles, of `SIZES`.
     """
     n = bernstein.degree_of(net.shape[1])
-    allowed = min(1.0, 10 / (2 * n)) * TOLERANCE
+    most = allowed(n)
     parts, places = [Nets.zeros(0)], [np.zeros(0, dtype=int)]
     for rows, s in by_size(np.arange(len(net)), size):
         over_t = to_triangle(n, s) @ net[rows]
@@ -51,7 +56,7 @@ def lowered(net: np.ndarray, size: np.ndarray) -> Nets:
         left = np.cumsum(squares[:, ::-1], axis=1)[:, ::-1].max(axis=2)
         least = np.full(len(rows), n)
         for m in range(n - 1, 0, -1):
-            least[(least == m + 1) & (left[:, bernstein.size(m)] <= allowed**2)] = m
+            least[(least == m + 1) & (left[:, bernstein.size(m)] <= most**2)] = m
         for m in np.unique(least).tolist():
             those = least == m
             if m < n:

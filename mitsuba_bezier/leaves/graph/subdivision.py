@@ -10,13 +10,14 @@ import numpy as np
 from ...geometry import bernstein
 from ...geometry.linear import inverses
 from ...geometry.triangles import BezierTriangles
-from ..nets import Nets
+from ..nets import Nets, Powers, counts_of
 from ..records import BENDING_LIMIT, GraphLeaves, LeafSettings, round_reach, weight_signs
 from .bounds import leaf_bounds
 from .collapsed_edges import collapsed_edge, fan, strips
 from .cover import edge_reach
-from .lower_degrees import HIGH, lowered
+from .lower_degrees import HIGH, allowed, lowered
 from .majorants import norm2
+from .tensor_nets import in_patch_variables, patch_powers, rounding_of_build
 
 __all__ = ["subdivide"]
 
@@ -46,12 +47,14 @@ def subdivide(
     halvings = np.zeros(len(nets), dtype=int)  # of the area, in the parameters
     places = patch, _middles(nets)
     folded = _singular(nets)
+    powers = patch_powers(nets)
     while True:
-        leaves, good, way = _graph_leaves(nets, domain, patch, settings)
+        of = np.searchsorted(places[0], patch)
+        leaves, good, way = _graph_leaves(nets, domain, patch, powers[of], settings)
         yield leaves.select(good)
         singular = _singular_corner(nets)
         pending = _pending(patch, good)
-        middle = places[1][np.searchsorted(places[0], patch)]
+        middle = places[1][of]
         last = _below_float32(leaves.box, middle, singular >= 0) | (pending > _MAX_PENDING_LEAVES)
         last[pending > _MANY_PENDING_LEAVES] |= _flat(
             nets[pending > _MANY_PENDING_LEAVES], middle[pending > _MANY_PENDING_LEAVES]
@@ -62,7 +65,9 @@ def subdivide(
             for tip in range(-1, 3):
                 part = last & (singular == tip)
                 if part.any():
-                    yield _fallback_triangles(nets[part], domain[part], patch[part], settings, tip)
+                    yield _fallback_triangles(
+                        nets[part], domain[part], patch[part], powers[of[part]], settings, tip
+                    )
         rest = ~good & ~last
         if not rest.any():
             return
@@ -93,7 +98,8 @@ def subdivide(
                 caps, inner = fan(nets[i], int(corner[i]), end)
                 if len(caps):
                     owner = np.full(len(caps), patch[i])
-                    closing = _graph_leaves(caps, domain[i] @ inner, owner, settings)[0]
+                    theirs = powers[np.searchsorted(places[0], owner)]
+                    closing = _graph_leaves(caps, domain[i] @ inner, owner, theirs, settings)[0]
                     closing.certified[:] = False  # planar: not quite the surface
                     yield closing
         for triangles, alike in cut_alike.values():
@@ -283,7 +289,12 @@ def _pending(patch: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 
 def _fallback_triangles(
-    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings, corner: int
+    nets: np.ndarray,
+    domain: np.ndarray,
+    patch: np.ndarray,
+    powers: np.ndarray,
+    settings: LeafSettings,
+    corner: int,
 ) -> GraphLeaves:
     """Return planar leaves in place of those that cannot be made good.
 
@@ -310,7 +321,8 @@ def _fallback_triangles(
     points = middle + _GROWTH * (points - middle)
     points = bernstein.elevated(points, 1, n)
     inner = np.einsum("pij,trj->ptir", domain, corners).reshape(-1, 3, 3)
-    leaves, good, _way = _graph_leaves(points, inner, np.repeat(patch, len(corners)), settings)
+    patch, powers = (np.repeat(x, len(corners), axis=0) for x in (patch, powers))
+    leaves, good, _way = _graph_leaves(points, inner, patch, powers, settings)
     leaves.certified[:] = False
     # what is not good has no area, and no ray meets it
     return leaves.select(good & (close | finite[:, 0, 0]))
@@ -402,11 +414,18 @@ _CHUNK = 4096
 
 
 def _graph_leaves(
-    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+    nets: np.ndarray,
+    domain: np.ndarray,
+    patch: np.ndarray,
+    powers: np.ndarray,
+    settings: LeafSettings,
 ) -> tuple[GraphLeaves, np.ndarray, np.ndarray]:
-    """Fit a chart to each net; return the leaves, a mask of good ones, and `_ways`."""
+    """Fit a chart to each net; return the leaves, a mask of good ones, and `_ways`.
+
+    `powers` are those of their patches.
+    """
     parts = [
-        _fit_charts(nets[c], domain[c], patch[c], settings)
+        _fit_charts(nets[c], domain[c], patch[c], powers[c], settings)
         for c in (slice(i, i + _CHUNK) for i in range(0, max(len(nets), 1), _CHUNK))
     ]
     if len(parts) == 1:
@@ -416,7 +435,11 @@ def _graph_leaves(
 
 
 def _fit_charts(
-    nets: np.ndarray, domain: np.ndarray, patch: np.ndarray, settings: LeafSettings
+    nets: np.ndarray,
+    domain: np.ndarray,
+    patch: np.ndarray,
+    powers: np.ndarray,
+    settings: LeafSettings,
 ) -> tuple[GraphLeaves, np.ndarray, np.ndarray]:
     n = bernstein.degree_of(nets.shape[1])
     nets, moebius, finite = _normalise_weights(nets, n)
@@ -477,7 +500,13 @@ def _fit_charts(
         shift=shift,
         chart=frame,
         nets=_stored(
-            deviation, good, (frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1), proved["size"]
+            deviation,
+            good,
+            (frame[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1),
+            proved["size"],
+            domain,
+            powers,
+            rounding_of_build(nets, frame),
         ),
         box=BezierTriangles(nets).hulls(),
         certified=good.copy(),
@@ -486,19 +515,47 @@ def _fit_charts(
     return leaves, good, way
 
 
-def _stored(net: np.ndarray, wanted: np.ndarray, affine: np.ndarray, size: np.ndarray) -> Nets:
-    """Return the nets of leaves as rays read them: monomial; those of high degree are lowered.
+def _stored(
+    net: np.ndarray,
+    wanted: np.ndarray,
+    affine: np.ndarray,
+    size: np.ndarray,
+    domain: np.ndarray,
+    powers: np.ndarray,
+    unsure: np.ndarray,
+) -> Nets:
+    """Return the nets of leaves as rays read them: monomial, in the variables that need the fewest.
 
-    Not in projective charts, where float64 counts. Leaves that are not `wanted` have nets of zeros.
+    Those of high degree are lowered. Not in projective charts, where float64 counts. Leaves that
+    are not `wanted` have nets of zeros.
     """
     n = bernstein.degree_of(net.shape[1])
-    if n <= HIGH:
-        return Nets.of(bernstein.monomial_matrix(n) @ net)
+    monomials = bernstein.monomial_matrix(n)
     near, far = np.flatnonzero(wanted & affine), np.flatnonzero(wanted & ~affine)
     rest = np.flatnonzero(~wanted)
-    whole = Nets.of(bernstein.monomial_matrix(n) @ net[far])
-    nets = Nets.join([lowered(net[near], size[near]), whole, Nets.zeros(len(rest))])
-    return nets[np.argsort(np.concatenate([near, far, rest]))]
+    parts = [Nets.of(monomials @ net[far]), Nets.zeros(len(rest))]
+    places = [far, rest]
+    lower = lowered(net[near], size[near]) if n > HIGH else Nets.of(monomials @ net[near])
+    counts, least = counts_of(powers[near]), powers[near, :2].min(axis=1)
+    # nets that may have code of their own have the same powers, rather than a few less each
+    fewer = (counts < lower.count) | ((counts <= bernstein.size(HIGH)) & (lower.degree > least))
+    fewer &= least < n
+    for own in np.unique(powers[near[fewer]], axis=0):
+        those = np.flatnonzero(fewer & (powers[near] == own).all(axis=1))
+        tensor, found = in_patch_variables(
+            monomials @ net[near[those]],
+            domain[near[those]],
+            Powers(*own.tolist()),
+            size[near[those]],
+            # of high degree a change of variables would add as much again
+            np.maximum(unsure[near[those]] if n <= HIGH else 0.0, np.full(len(those), allowed(n))),
+        )
+        parts.append(tensor[found])
+        places.append(near[those[found]])
+        fewer[those[~found]] = False
+    parts.append(lower[~fewer])
+    places.append(near[~fewer])
+    return Nets.join(parts)[np.argsort(np.concatenate(places))]
 
 
 def _rounding(nets: np.ndarray, shift: np.ndarray, frame: np.ndarray) -> np.ndarray:
