@@ -11,6 +11,7 @@ import numpy as np
 
 from ..geometry.trim_outlines import TrimSegments
 from ..kernels.arrays import upload
+from ..kernels.float64_use import uses_pairs
 
 __all__ = ["CurvePoint", "Cuts", "TrimCurves"]
 
@@ -48,6 +49,7 @@ class TrimCurves:
         self._shapes: list[Any] = []
         self._count = self._used = self._first = 0
         self.degrees: set[int] = set()
+        self.number: Any = None  #: type of all arithmetic
 
     def add(self, shape: Any, first: int, found: TrimSegments | None) -> Cuts:
         """Add the segments of a shape, whose patches are numbered from `first` on."""
@@ -89,12 +91,14 @@ class TrimCurves:
         if data.trim is None:
             return None
         rows = self._rows or [np.zeros((1, _ROW))]
-        self.rows = upload(mi.Float64, np.concatenate([*rows, np.zeros((1, _ROW))]))
+        # coordinates of a unit square: float32 is enough where float64 is not wanted
+        self.number = mi.Float if uses_pairs(mi.Float) else mi.Float64
+        self.rows = upload(self.number, np.concatenate([*rows, np.zeros((1, _ROW))]))
         heads = np.concatenate([*self._heads, np.zeros((1, 2))])
         self.heads = upload(mi.UInt32, heads.astype(np.uint32))
         index = np.concatenate([*self._index, np.zeros(1)])
         self.index = upload(mi.UInt32, index.astype(np.uint32))
-        self.points = upload(mi.Float64, np.concatenate([*self._points, np.zeros((1, 3))]))
+        self.points = upload(self.number, np.concatenate([*self._points, np.zeros((1, 3))]))
         return self
 
     def moves(self) -> bool:
@@ -105,10 +109,10 @@ class TrimCurves:
         """Return the control points of all curves, with derivatives."""
         tensors = [shape.trim_points for shape in self._shapes]
         parts = [
-            dr.zeros(mi.Float64, 3 * len(points)) if tensor is None else mi.Float64(tensor.array)
+            dr.zeros(self.number, 3 * len(points)) if tensor is None else self.number(tensor.array)
             for tensor, points in zip(tensors, self._points)
         ]
-        return dr.replace_grad(self.points, dr.concat([*parts, dr.zeros(mi.Float64, 3)]))
+        return dr.replace_grad(self.points, dr.concat([*parts, dr.zeros(self.number, 3)]))
 
     def point(self, row: Any, s: Any, active: Any, points: Any = None) -> CurvePoint:
         """Return points of segments.
@@ -119,14 +123,14 @@ class TrimCurves:
         s : Float
             From 0 to 1 along the segment.
         active : Bool
-        points : Float64, optional
+        points : optional
             Those of `attached`.
         """
         points = self.points if points is None else points
-        m = [dr.gather(mi.Float64, self.rows, _ROW * row + k, active) for k in range(_ROW)]
+        m = [dr.gather(self.number, self.rows, _ROW * row + k, active) for k in range(_ROW)]
         start, n = (dr.gather(mi.UInt32, self.heads, 2 * row + k, active) for k in (0, 1))
-        t = m[0] + mi.Float64(s) * (m[1] - m[0])
-        h, slope = [mi.Float64(0.0)] * 3, [mi.Float64(0.0)] * 3
+        t = m[0] + self.number(s) * (m[1] - m[0])
+        h, slope = [self.number(0.0)] * 3, [self.number(0.0)] * 3
         for degree in sorted(self.degrees):
             here = active & (n == degree)
             values, partials = self._evaluate(degree, start, t, here, points)
@@ -162,8 +166,8 @@ class TrimCurves:
         net = []
         for i in range(n + 1):
             row = 3 * dr.gather(mi.UInt32, self.index, start + i, active)
-            net.append([dr.gather(mi.Float64, points, row + c, active) for c in range(3)])
-        up, down = [mi.Float64(1.0)], [mi.Float64(1.0)]
+            net.append([dr.gather(self.number, points, row + c, active) for c in range(3)])
+        up, down = [self.number(1.0)], [self.number(1.0)]
         for _ in range(n):
             up.append(up[-1] * t)
             down.append(down[-1] * (1 - t))
