@@ -26,6 +26,9 @@ UNROLLED = 8
 #: A second bucket with code of its own has to save this share of the numbers in all nets, or more
 #: if only components differ, as those of leaves of one patch with weights mostly do.
 _WORTH, _WORTH_WEIGHTS = 0.05, 0.2
+#: ... and beside nets that are read row by row this: with three buckets the kernel of a gradient
+#: takes a second more to compile than with two.
+_WORTH_BESIDE_ROWS = 0.4
 
 
 @dataclass
@@ -98,7 +101,7 @@ def choose(powers: np.ndarray, components: np.ndarray, unrolled: int | None = No
     for cut in cuts.tolist():
         two = [low[np.sort(order[:cut])], low[np.sort(order[cut:])]]
         alike = _highest(powers[two[0]]) == _highest(powers[two[1]])
-        worth = _WORTH_WEIGHTS if alike else _WORTH
+        worth = max(_WORTH_WEIGHTS if alike else _WORTH, _WORTH_BESIDE_ROWS if len(high) else 0)
         cost = _cost(powers, components, two)
         if cost < min(least, (1 - worth) * alone):
             least, parts = cost, two

@@ -63,11 +63,35 @@ class Layout:
             Their type is that of all arithmetic.
         active : Bool
         """
+        return self._points(nets, patch, u, v, active, 2)
+
+    def jet(
+        self, nets: Any, patch: Any, u: Any, v: Any, active: Any, order: int = 1
+    ) -> list[list[Any]]:
+        """Do what `second` does, but only points and first partials have derivatives.
+
+        Parameters
+        ----------
+        order : int
+            Of the highest partials: 2, or 1, by a loop over the rows whatever the degree. So that
+            is for what few rays want: it takes little code.
+        """
+        return self._points(nets, patch, u, v, active, 1, order)
+
+    def _points(
+        self, nets: Any, patch: Any, u: Any, v: Any, active: Any, moving: int, order: int = 2
+    ) -> list[list[Any]]:
+        attached = dr.grad_enabled(nets, u, v)
         by_drjit = self.only is not None and self.only <= _BY_DRJIT
-        if by_drjit or not dr.grad_enabled(nets, u, v):
-            return self._value(nets, patch, u, v, active)
-        slides = dr.grad_enabled(u, v)
-        return dr.custom(_Second, nets, u, v, slides, _Place(self, nets, patch, active))
+        place = _Place(self, nets, patch, active, moving, order)
+        if order == 2 and (by_drjit or not attached):
+            found = self._value(nets, patch, u, v, active)
+        elif attached:
+            found = dr.custom(_Moving, nets, u, v, dr.grad_enabled(u, v), place)
+        else:
+            found = place.points(u, v)
+        count = len(place.moving)
+        return [*found[:count], *(dr.detach(x) for x in found[count:])]
 
     def place(self, patch: Any, active: Any) -> tuple[Any, Any]:
         """Return the first rows and the degrees of patches."""
@@ -155,13 +179,40 @@ def lay_out(counts: list[tuple[int, int]], like: Any) -> Layout:
 
 
 class _Place:
-    """What `_Second` needs beside its arguments: no dataclass, which Dr.Jit would detach."""
+    """What `_Moving` needs beside its arguments: no dataclass, which Dr.Jit would detach."""
 
-    def __init__(self, layout: Layout, nets: Any, patch: Any, active: Any) -> None:
+    def __init__(
+        self, layout: Layout, nets: Any, patch: Any, active: Any, moving: int, order: int
+    ) -> None:
         self.layout, self.nets, self.patch, self.active = layout, nets, patch, active
+        self.moving = partials_up_to(moving)  #: what has derivatives
+        self.order = order
+
+    def points(self, u: Any, v: Any) -> list[list[Any]]:
+        """Return points and partials up to `order`.
+
+        Where patches have several degrees the code is that of any of them: what each would have of
+        its own is as much again for each kernel with derivatives.
+        """
+        if self.order == 2 and self.layout.only is not None:
+            return self.layout._value(self.nets, self.patch, u, v, self.active)
+        found = self.partials(dr.detach(self.nets), u, v, self.order)
+        return [found[key] for key in partials_up_to(self.order)]
+
+    def partials(self, nets: Any, u: Any, v: Any, order: int) -> dict[tuple[int, int], list[Any]]:
+        """Return partials up to an order, by a loop over the rows."""
+        first, degree = self.layout.place(self.patch, self.active)
+        plain = self.layout.is_plain(degree)
+        return rolled_partials(nets, first, degree, u, v, self.active, order, plain)
+
+    def add_gradient(self, u: Any, v: Any, gradient: dict[tuple[int, int], list[Any]]) -> None:
+        """Bring the gradient by what is moving to the nets."""
+        first, degree = self.layout.place(self.patch, self.active)
+        plain = self.layout.is_plain(degree)
+        add_gradient(self.nets, first, degree, u, v, self.active, gradient, plain)
 
 
-class _Second(dr.CustomOp):
+class _Moving(dr.CustomOp):
     """Points and partials with derivatives, by loops over the rows in each direction.
 
     What Dr.Jit makes of code that is unrolled takes many times as long to compile as that code; and
@@ -171,37 +222,33 @@ class _Second(dr.CustomOp):
     def eval(self, nets: Any, u: Any, v: Any, slides: bool, place: _Place) -> Any:
         self.at, self.u, self.v, self.nets = place, u, v, nets
         self.moves, self.slides = dr.grad_enabled(place.nets), slides
-        return place.layout._value(nets, place.patch, u, v, place.active)
+        return place.points(u, v)
 
-    def _partials(self, nets: Any, order: int) -> dict[tuple[int, int], list[Any]]:
-        layout, active = self.at.layout, self.at.active
-        first, degree = layout.place(self.at.patch, active)
-        plain = layout.is_plain(degree)
-        return rolled_partials(nets, first, degree, self.u, self.v, active, order, plain)
+    def _slopes(self) -> dict[tuple[int, int], list[Any]]:
+        """Return the partials by the parameters of all that is moving."""
+        return self.at.partials(self.nets, self.u, self.v, max(map(sum, self.at.moving)) + 1)
 
     def forward(self) -> None:
-        tangent = [[type(self.u)(0.0)] * 4 for _ in _SECOND]
+        at = self.at
+        tangent = [[type(self.u)(0.0)] * 4 for _ in partials_up_to(at.order)]
         if self.moves:
-            found = self._partials(self.grad_in("nets"), 2)
-            tangent = [found[key] for key in _SECOND]
+            order = max(map(sum, at.moving))
+            found = at.partials(self.grad_in("nets"), self.u, self.v, order)
+            tangent[: len(at.moving)] = [found[key] for key in at.moving]
         if self.slides:
             du, dv = self.grad_in("u"), self.grad_in("v")
-            found = self._partials(self.nets, 3)
-            for row, (p, q) in zip(tangent, _SECOND):
+            found = self._slopes()
+            for row, (p, q) in zip(tangent, at.moving):
                 for a in range(4):
                     row[a] = row[a] + du * found[p + 1, q][a] + dv * found[p, q + 1][a]
         self.set_grad_out(tangent)
 
     def backward(self) -> None:
-        gradient = dict(zip(_SECOND, self.grad_out()))
+        gradient = dict(zip(self.at.moving, self.grad_out()))
         if self.moves:
-            layout, active = self.at.layout, self.at.active
-            first, degree = layout.place(self.at.patch, active)
-            plain = layout.is_plain(degree)
-            args = (first, degree, self.u, self.v, active, gradient, plain)
-            add_gradient(self.at.nets, *args)
+            self.at.add_gradient(self.u, self.v, gradient)
         if self.slides:
-            found = self._partials(self.nets, 3)
+            found = self._slopes()
             for name, dp, dq in (("u", 1, 0), ("v", 0, 1)):
                 total = sum(
                     g[a] * found[p + dp, q + dq][a]

@@ -244,6 +244,11 @@ class PatchTables:
         h = self.layout.second(self.nets, patch, u, v, active)
         return h if self.aspheres is None else self.aspheres.lifted(h, patch, u, v, active)
 
+    def _jet(self, patch: Any, u: Any, v: Any, active: Any, order: int = 1) -> list[list[Any]]:
+        """Return homogeneous points and partials, see `Layout.jet`, from the origins."""
+        h = self.layout.jet(self.nets, patch, u, v, active, order)
+        return h if self.aspheres is None else self.aspheres.lifted(h, patch, u, v, active)
+
     @property
     def sources(self) -> list[Any]:
         """What may carry derivatives by the shapes."""
@@ -255,7 +260,7 @@ class PatchTables:
         return None if self.places is None else placed_by(self.places, number, active, self.pairs)
 
     def jet(self, patch: Any, u: Any, v: Any, active: Any, place: Any = None) -> Jet:
-        """Return points and partials.
+        """Return points and partials; the second have no derivatives.
 
         Parameters
         ----------
@@ -263,7 +268,8 @@ class PatchTables:
             Affine map of each to space, see `placed_by`.
         """
         u, v = (widen(self.pairs, mi.Float(x)) for x in (u, v))
-        h = self.second(patch, u, v, active)
+        wide = self.pairs
+        h = self.second(patch, u, v, active) if wide else self._jet(patch, u, v, active, 2)
         origin = vector(self.pairs, self.origin(patch, active))
         if place is not None:
             h = placed(h, place[0])
@@ -395,16 +401,25 @@ class PatchTables:
         return self.projections.project(shape, p, n, active, linear)
 
     def _limit_normal(self, patch: Any, u: Any, v: Any, flat: Any, place: Any) -> Any:
-        near, far = (
-            self.jet(patch, u + step * (1 / 3 - u), v + step * (1 / 3 - v), flat, place)
-            for step in (_STEP, 2 * _STEP)
+        inner, outer = (
+            self._normal_inside(patch, u, v, flat, place, step) for step in (_STEP, 2 * _STEP)
         )
-        inner, outer = (cross(*jet.tangents()[:2]) for jet in (near, far))
-        if near.pairs:
-            inner, outer = single(inner), single(outer)
         limit = 2.0 * _unit(inner) - _unit(outer)
         limit = dr.select(dr.squared_norm(outer) > 0, limit, _unit(inner))
         return dr.select(dr.squared_norm(inner) > 0, limit, type(inner)(0, 0, 1))
+
+    def _normal_inside(
+        self, patch: Any, u: Any, v: Any, active: Any, place: Any, step: float
+    ) -> Any:
+        """Return ``dp_du x dp_dv`` a step towards the centroid."""
+        u, v = (x + step * (1 / 3 - x) for x in (u, v))
+        if self.pairs:
+            return single(cross(*self.jet(patch, u, v, active, place).tangents()[:2]))
+        u, v = (mi.Float64(mi.Float(x)) for x in (u, v))
+        h = self._jet(patch, u, v, active)
+        h = h if place is None else placed(h, place[0])
+        _p, pu, pv = affine_partials(*h)
+        return dr.cross(mi.Vector3d(*pu), mi.Vector3d(*pv))
 
 
 def placed(h: list[list[Any]], a: Any) -> list[list[Any]]:

@@ -117,6 +117,13 @@ def chosen(*kinds: tuple[int, int, int]) -> list[tuple[int | None, int, int]]:
     return [(c.degree, c.components, len(c.numbers)) for c in out]
 
 
+def test_beside_nets_by_rows_a_second_bucket_saves_a_lot_or_is_none():
+    few = chosen((3, 4, 10), (5, 4, 10), (12, 4, 1))
+    assert few == [(5, 4, 20), (None, 4, 1)]
+    assert len(chosen((3, 4, 10), (5, 4, 10))) == 2
+    assert chosen((2, 4, 100), (8, 4, 1), (12, 4, 1)) == [(2, 4, 100), (8, 4, 1), (None, 4, 1)]
+
+
 def test_one_degree_is_one_bucket():
     assert chosen((6, 3, 100)) == [(6, 3, 100)]
     assert chosen((UNROLLED + 1, 3, 5)) == [(None, 4, 5)]
@@ -132,8 +139,9 @@ def test_a_few_of_high_degree_leave_the_others_alone():
 
 def test_few_buckets_of_many_degrees():
     kinds = [(d, 3, 10) for d in range(1, UNROLLED + 4)]
+    assert len(chosen(*kinds[:UNROLLED])) == 2
     out = chosen(*kinds)
-    assert len(out) == 3 and out[-1][0] is None
+    assert len(out) == 2 and out[-1][0] is None
 
 
 def test_a_bucket_has_to_save_something():

@@ -172,3 +172,51 @@ def test_derivatives_by_nets_and_parameters(degrees, monkeypatch):
     both = sum((g * a).sum() for g, a in zip(gradient, along))
     assert abs(both - right.sum()) < 1e-5 * np.abs(right).sum()
     assert np.abs(gradient[1][~active]).max() == 0
+
+
+@pytest.mark.parametrize("degrees", ["mixed", "one"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_first_partials_with_derivatives(degrees, order):
+    """They are those of all partials, and the second ones have none."""
+    if degrees == "mixed":
+        layout, stored, _nets = mixed(ad.Float)
+    else:
+        layout, stored = lay_out([(3, 12)], ad.Float), pack(nets_of(3, 12)).ravel()
+    count = 60
+    uv, patch = parameters(count), np.arange(count, dtype=np.uint32) % 12
+    weights = weights_for(count)[:3]
+    found = []
+    for evaluate in (layout.second, lambda *args: layout.jet(*args, order)):
+        nets = upload(ad.Float, stored)
+        u, v = (ad.Float64(uv[:, k].copy()) for k in range(2))
+        dr.enable_grad(nets, u, v)
+        h = evaluate(nets, ad.UInt(patch), u, v, ad.Bool(True))
+        total = sum(x * ad.Float64(w) for xs, ws in zip(h, weights) for x, w in zip(xs, ws))
+        dr.backward(dr.sum(total))
+        found.append([np.array(dr.grad(x), dtype=float) for x in (nets, u, v)])
+        found[-1].extend(np.array(x) for xs in h[:3] for x in xs)
+    assert len(h) == (6 if order == 2 else 3)
+    assert not any(dr.grad_enabled(x) for xs in h[3:] for x in xs)
+    for right, got in zip(*found):
+        # gradients of nets are sums in float32
+        np.testing.assert_allclose(got, right, atol=2e-6 * np.abs(right).max())
+
+
+def operations(layout: patch_nets.Layout, stored: np.ndarray) -> int:
+    """Return how large the kernels are that differentiate points."""
+    nets = upload(ad.Float, stored)
+    u = dr.opaque(ad.Float64, 0.3, 4)
+    dr.enable_grad(nets)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        h = layout.jet(nets, ad.UInt([0, 1, 2, 0]), u, u, ad.Bool(True), 2)
+        dr.backward(dr.sum(h[0][0] + h[1][1] + h[2][2]))
+        dr.eval(dr.grad(nets))
+        return sum(k.get("operation_count", 0) for k in dr.kernel_history())
+
+
+def test_derivatives_of_many_degrees_take_the_code_of_one():
+    layout, stored, _nets = mixed(ad.Float)
+    one = operations(lay_out([(14, 3)], ad.Float), pack(scaled(nets_of(14, 3))).ravel())
+    # where a net begins, and whether it has its multinomials: some operations more
+    assert operations(layout, stored) < 1.2 * one
