@@ -222,7 +222,8 @@ def main() -> None:
         print(f"step {step}, loss {loss:.2e}, off by {told}", flush=True)
 
     found = search(scene, photograph, options.steps, options.spp, look)
-    curves.append(errors(scene, truth))
+    if len(curves) > 1:
+        curves[-1] = errors(scene, truth)  # the best state, not the last that was looked at
     for fault, error in zip(FAULTS, curves[-1]):
         print(f"{fault.name}: off by {fault.error:g} {fault.unit}, found but for {error:+.2g}")
     print(f"{len(found.losses)} steps, {found.reason}")

@@ -1,6 +1,6 @@
 """Fit patches to a picture with a loss and an optimizer of PyTorch.
 
-    pip install torch && python scenes/fit_torch.py [--steps 60] [--out renders]
+    pip install torch && python scenes/fit_torch.py [--steps 100] [--out renders]
 
 `dr.wrap` makes a function of Dr.Jit one of PyTorch: unknowns come as tensors of PyTorch, the
 picture goes back as one, and `backward` runs through both. Between them stands a parametrization
@@ -149,9 +149,9 @@ def main() -> None:
     except ImportError:
         sys.exit("fit_torch: expected PyTorch, got none; pip install torch")
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--side", type=int, default=32)
-    parser.add_argument("--spp", type=int, default=16)
+    parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--rate", type=float, default=0.03)
     parser.add_argument("--integrator", default="bezier_direct_projective")
     parser.add_argument("--variant", default="llvm_ad_rgb")
