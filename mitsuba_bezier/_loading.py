@@ -11,6 +11,7 @@ that has one thread, the one that waits, it waits for ever: so there are two.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -36,18 +37,32 @@ def give_thread() -> None:
         dr.set_thread_count(2)
 
 
+_lock = threading.Lock()
+#: loads under way, and whether the first of them found one thread
+_loads, _lent = 0, False
+
+
 @contextmanager
 def thread_for_files() -> Iterator[None]:
-    """Let Dr.Jit have a second thread, if it is to have one only, while files are read."""
+    """Let Dr.Jit have a second thread, if it is to have one only, while files are read.
+
+    Loads may overlap, within one another or in several threads: the last takes it back.
+    """
+    global _loads, _lent
     dr: Any = import_module("drjit")
-    if dr.thread_count() != 1:
-        yield
-        return
-    dr.set_thread_count(2)
+    with _lock:
+        if _loads == 0 and dr.thread_count() == 1:
+            dr.set_thread_count(2)
+            _lent = True
+        _loads += 1
     try:
         yield
     finally:
-        dr.set_thread_count(1)
+        with _lock:
+            _loads -= 1
+            if _loads == 0 and _lent:
+                _lent = False
+                dr.set_thread_count(1)
 
 
 def parser_config(mi: Any, variant: str) -> Any:

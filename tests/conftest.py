@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from subprocess import CompletedProcess
 from types import ModuleType
@@ -95,6 +95,20 @@ def python() -> Callable[..., CompletedProcess[str]]:
         )
 
     return run
+
+
+@pytest.fixture(autouse=True)
+def _threads_stay() -> Iterator[None]:
+    """Let no test change how many threads Dr.Jit has: with one, reading an EXR file never ends."""
+    import sys
+
+    before = sys.modules["drjit"].thread_count() if "drjit" in sys.modules else None
+    yield
+    if before is not None:
+        after = sys.modules["drjit"].thread_count()
+        if after != before:
+            sys.modules["drjit"].set_thread_count(before)
+        assert after == before
 
 
 # for one module only: as long as it runs, playwright's event loop is in the way of others

@@ -196,6 +196,11 @@ def _trace(query: Query, rays: _Rays, nearest: _Nearest, queue: _Queue) -> None:
     dr.eval(nearest)
 
 
+def _threads() -> int:
+    """Return how many threads share the lanes."""
+    return int(dr.thread_count())
+
+
 def _walk_to_candidates(query: Query, rays: _Rays, t: Any, queue: _Queue) -> tuple[Any, Walk]:
     """Take each ray of a queue to its next leaf that it may hit.
 
@@ -209,7 +214,7 @@ def _walk_to_candidates(query: Query, rays: _Rays, t: Any, queue: _Queue) -> tup
     s, ty = query.s, query.ty
     count = queue.count
     # at least a hundred packets for each thread, so that none waits for long
-    share = max(1, min(_RAYS_A_LANE, count // (100 * _PACKET * dr.thread_count())))
+    share = max(1, min(_RAYS_A_LANE, count // (100 * _PACKET * _threads())))
     lanes = -(-count // (share * _PACKET)) * _PACKET
     lane = dr.arange(ty.UInt, lanes)
     # data, not code: a kernel serves all counts

@@ -17,6 +17,7 @@ from cli_cases import BEZIER, INTEGRATOR, render, scene
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import _runtime
+from mitsuba_bezier._loading import thread_for_files
 from mitsuba_bezier.cli import _images, _passes, main
 from mitsuba_bezier.rendering.passes import render_pass
 from mitsuba_bezier.rendering.picture import Picture
@@ -479,6 +480,24 @@ def test_surroundings_on_one_thread_or_core(folder, python, words):
         pytest.skip("no way to give up cores")
     done = python(SKY, None, *words)
     assert done.stdout.split() == (["2"] if words else ["1"]), done.stderr
+
+
+def test_loads_that_overlap_share_the_second_thread():
+    """The one that ends first must not take it from the others."""
+    import drjit as dr
+
+    before = dr.thread_count()
+    one, two = thread_for_files(), thread_for_files()
+    try:
+        dr.set_thread_count(1)
+        with one:
+            two.__enter__()
+            assert dr.thread_count() == 2
+        assert dr.thread_count() == 2  # the second is at it still
+        two.__exit__(None, None, None)
+        assert dr.thread_count() == 1
+    finally:
+        dr.set_thread_count(before)
 
 
 def test_every_way_to_surroundings_with_one_thread(folder, python):

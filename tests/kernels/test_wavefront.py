@@ -36,7 +36,7 @@ def small(monkeypatch) -> None:
     monkeypatch.setattr(wavefront, "_MIN_RAYS", 16)
     monkeypatch.setattr(wavefront, "_RAYS_A_LANE", 5)
     monkeypatch.setattr(wavefront, "_MAX_RAYS", 8000)
-    monkeypatch.setattr(dr, "thread_count", lambda: 1)
+    monkeypatch.setattr(wavefront, "_threads", lambda: 1)
 
 
 def random_rays(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
