@@ -35,15 +35,13 @@ RECORDS = {
 }
 #: Most places in the kernels that gather from one buffer.
 PLACES = 8
-#: Those in float64.
-WIDE = ("far_nets", "groups", "inverses")
 
 
 @contextmanager
 def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     """Count the gathers from each buffer while the kernels are recorded.
 
-    Yields the counters of each buffer, one number a ray, and the packets of a record in `packets`.
+    Yields the counters of each buffer, one number a ray, and the bytes of a record in `sizes`.
     Each place in the kernels has a counter of its own: Dr.Jit does not let two loops share one.
     """
     lane = dr.opaque(types_of(mi.Float).UInt, 0, width) + dr.arange(types_of(mi.Float).UInt, width)
@@ -59,14 +57,17 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     }
     unused = {n: list(every) for n, every in counters.items()}
     dr.eval(counters)
-    packets: dict[str, int] = {}
+    sizes: dict[str, int] = {}
 
-    def gather(buffer: Any, index: Any, count: int, active: Any = True) -> list[Any]:
+    def gather(
+        buffer: Any, index: Any, count: int, active: Any = True, stride: int | None = None
+    ) -> list[Any]:
         name = names.get(buffer.index)
         if name is not None:
-            packets[name] = -(-count // 8)
+            # eight numbers each: float64, or float32 where pairs of those take its place
+            sizes[name] = -(-count // 8) * 8 * dr.itemsize_v(buffer)
             dr.scatter_inc(unused[name].pop(), lane, active)
-        return gather_packets(buffer, index, count, active)
+        return gather_packets(buffer, index, count, active, stride)
 
     modules = [
         module
@@ -76,7 +77,7 @@ def _counted(structure: Structure, width: int) -> Iterator[dict[str, Any]]:
     for module in modules:
         module.gather_packets = gather
     try:
-        yield {"counters": counters, "packets": packets}
+        yield {"counters": counters, "sizes": sizes}
     finally:
         for module in modules:
             module.gather_packets = gather_packets
@@ -90,10 +91,9 @@ def count_reads(structure: Structure, o: np.ndarray, d: np.ndarray) -> dict[str,
         hit = traverse.intersect(structure, *columns, ty.Float(dr.inf))
         dr.eval(*hit, counted["counters"])
     out = {}
-    for name, packets in counted["packets"].items():
+    for name, size in counted["sizes"].items():
         number = sum(float(np.array(c).mean()) for c in counted["counters"][name])
-        size = np.dtype(np.float64 if name in WIDE else np.float32).itemsize
-        out[name] = {"records": number, "bytes": number * packets * 8 * size}
+        out[name] = {"records": number, "bytes": number * size}
     return out
 
 
