@@ -3,66 +3,18 @@
 Mitsuba merges meshes, by default, into one shape for each BSDF, in the order of the addresses that
 the objects happen to have. Shapes, and so emitters, then come in another order from load to load,
 and with it equal seeds give other images. Everything of ours loads scenes through here.
-
-Mitsuba's OpenEXR hands the rows of a file to Dr.Jit's pool of threads, and waits for them. Where
-that has one thread, the one that waits, it waits for ever: so there are two.
 """
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-__all__ = [
-    "give_thread",
-    "load_dict",
-    "load_file",
-    "parser_config",
-    "relative_to",
-    "thread_for_files",
-]
+from ._threads import thread_for_files
 
-
-def give_thread() -> None:
-    """Let Dr.Jit have a second thread on a machine of one core, for files of EXR."""
-    allowed = getattr(os, "sched_getaffinity", None)
-    cores = len(allowed(0)) if allowed else os.cpu_count()
-    dr: Any = import_module("drjit")
-    if cores == 1 and dr.thread_count() == 1:
-        dr.set_thread_count(2)
-
-
-_lock = threading.Lock()
-#: loads under way, and whether the first of them found one thread
-_loads, _lent = 0, False
-
-
-@contextmanager
-def thread_for_files() -> Iterator[None]:
-    """Let Dr.Jit have a second thread, if it is to have one only, while files are read.
-
-    Loads may overlap, within one another or in several threads: the last takes it back.
-    """
-    global _loads, _lent
-    dr: Any = import_module("drjit")
-    with _lock:
-        if _loads == 0 and dr.thread_count() == 1:
-            dr.set_thread_count(2)
-            _lent = True
-        _loads += 1
-    try:
-        yield
-    finally:
-        with _lock:
-            _loads -= 1
-            if _loads == 0 and _lent:
-                _lent = False
-                dr.set_thread_count(1)
+__all__ = ["load_dict", "load_file", "parser_config", "relative_to"]
 
 
 def parser_config(mi: Any, variant: str) -> Any:

@@ -16,6 +16,7 @@ from typing import Any
 from .. import _loading
 from .._files import is_utf8
 from .._runtime import import_mitsuba
+from .._threads import thread_for_files
 from ..errors import FileFormatError
 from ..verification.fingerprint import files_fingerprint, scene_files
 from . import _plugins
@@ -121,7 +122,7 @@ def load(
         name, notes = _choose_integrator(mi, state)
         if box_filter:
             _choose_box_filter(mi, state, notes)
-        with _loading.thread_for_files():
+        with thread_for_files():
             built = _guarded(path, mi.parser.instantiate, config, state)
         scene = built[0] if isinstance(built, list) and len(built) == 1 else built
         if not isinstance(scene, mi.Scene):

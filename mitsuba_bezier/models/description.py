@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from .._loading import thread_for_files
+from .._threads import thread_for_files
 from ..errors import FileFormatError
 from ..geometry.fields import BezierField
 from ..geometry.triangles import BezierTriangles

@@ -11,7 +11,7 @@ from typing import Any
 import mitsuba as mi
 
 from .. import _runtime
-from .._loading import give_thread
+from .._threads import give_thread
 from . import native
 
 __all__ = ["PLUGINS", "register"]

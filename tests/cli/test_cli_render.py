@@ -17,7 +17,7 @@ from cli_cases import BEZIER, INTEGRATOR, render, scene
 
 import mitsuba_bezier as mb
 from mitsuba_bezier import _runtime
-from mitsuba_bezier._loading import thread_for_files
+from mitsuba_bezier._threads import thread_for_files
 from mitsuba_bezier.cli import _images, _passes, main
 from mitsuba_bezier.rendering.passes import render_pass
 from mitsuba_bezier.rendering.picture import Picture

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ... import errors
-from ..._loading import thread_for_files
+from ..._threads import thread_for_files
 from ...errors import NetError
 from ...geometry.fields import BezierField
 from ...geometry.triangles import BezierTriangles
