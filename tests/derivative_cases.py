@@ -17,6 +17,7 @@ __all__ = [
     "KEY",
     "attach",
     "central",
+    "central_by",
     "film",
     "forward",
     "front_camera",
@@ -143,4 +144,21 @@ def central(
     for sign in (1, -1):
         set_net(params, net + sign * e * change)
         out.append(inner(render(), w))
+    return (out[0] - out[1]) / (2 * e)
+
+
+def central_by(
+    scene: Any, key: str, change: np.ndarray, w: Any, spp: int, e: float, depth: int
+) -> float:
+    """Return the central difference of the loss along a change of any parameter of a scene."""
+    path = mi.load_dict({"type": "bezierpath", "max_depth": depth})
+    params = mi.traverse(scene)
+    values = np.array(dr.detach(params[key])).reshape(change.shape)
+    out = []
+    for sign in (1, -1):
+        params[key] = tensor(values + sign * e * change)
+        params.update()
+        out.append(inner(mi.render(scene, integrator=path, spp=spp, seed=1), w))
+    params[key] = tensor(values)
+    params.update()
     return (out[0] - out[1]) / (2 * e)

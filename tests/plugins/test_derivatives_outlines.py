@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import BENT, film, front_camera, inner, weights
+from derivative_cases import BENT, central_by, film, front_camera, inner, weights
 from mitsuba_cases import bezier, tensor
 
 import mitsuba_bezier as mb
@@ -82,23 +82,6 @@ def derivatives(integrator: Any, scene: Any, keys: list[str], w: Any, spp: int) 
     return [np.array(dr.grad(params[key])).reshape(params[key].shape) for key in keys]
 
 
-def central(
-    scene: Any, key: str, change: np.ndarray, w: Any, spp: int, e: float, depth: int = 2
-) -> float:
-    """Return the central difference of the loss along a change of a parameter."""
-    path = mi.load_dict({"type": "bezierpath", "max_depth": depth})
-    params = mi.traverse(scene)
-    values = np.array(dr.detach(params[key])).reshape(params[key].shape)
-    out = []
-    for sign in (1, -1):
-        params[key] = tensor(values + sign * e * change)
-        params.update()
-        out.append(inner(mi.render(scene, integrator=path, spp=spp, seed=1), w))
-    params[key] = tensor(values)
-    params.update()
-    return (out[0] - out[1]) / (2 * e)
-
-
 # ---------------------------------------------------------------- instances
 
 #: Two instances, the second one sheared.
@@ -133,13 +116,13 @@ def test_outlines_of_instances(net, place):
         ((by_maps * LARGER).sum(), BOTH[1], LARGER),
         ((by_net * grown).sum(), BOTH[0], grown),
     ):
-        want = central(scene, key, change, w, 8100 if seen else 4096, 0.04)
+        want = central_by(scene, key, change, w, 8100 if seen else 4096, 0.04, depth=2)
         assert got == pytest.approx(want, rel=0.1), key
     # one of them moves
     if seen:
         moved = np.zeros_like(MAPS)
         moved[1, :, 3] = 1, -0.7, 0.4
-        want = central(scene, BOTH[1], moved, w, 8100, 0.03)
+        want = central_by(scene, BOTH[1], moved, w, 8100, 0.03, depth=2)
         assert (by_maps * moved).sum() == pytest.approx(want, rel=0.1)
 
 
@@ -265,7 +248,7 @@ def test_outlines_in_mirrors_and_through_glass(make):
     # it grows about its middle
     change = net - net[..., 3:] * np.array([*centre, 1.0])
     # 3 % are noise, of pixels that an outline crosses
-    want = central(scene, NET, change, w, 8100, 0.02, depth)
+    want = central_by(scene, NET, change, w, 8100, 0.02, depth)
     assert (got * change).sum() == pytest.approx(want, rel=0.1)
     # without them there is nothing, or half of it
     rest = mi.load_dict({"type": "bezier_prb_projective", "max_depth": depth, **SPARSE, "spps": 0})
@@ -338,12 +321,12 @@ def test_outlines_of_trimmed_shapes(place):
     larger[:4] = 0
     for got, key, change in ((by_net, TRIMMED[0], grown), (by_points, TRIMMED[1], larger)):
         # 2 % are noise
-        want = central(scene, key, change, w, 8100, 0.04)
+        want = central_by(scene, key, change, w, 8100, 0.04, depth=2)
         assert (got * change).sum() == pytest.approx(want, rel=0.1), key
     if seen:  # without its hole it has another derivative
         path = mi.load_dict({"type": "bezier_direct_projective", "sppi": 0, "sppp": 0})
         (rest,) = derivatives(path, scene, TRIMMED[:1], w, 64)
-        want = central(scene, TRIMMED[0], grown, w, 8100, 0.04)
+        want = central_by(scene, TRIMMED[0], grown, w, 8100, 0.04, depth=2)
         assert abs((rest * grown).sum() - want) > 0.5 * abs(want)
 
 
@@ -450,7 +433,7 @@ def test_trimming_curves_in_a_mirror():
     full = mi.load_dict({"type": "bezier_prb_projective", "max_depth": 3, **SPARSE})
     (got,) = derivatives(full, scene, TRIMMED[1:], w, 1024)
     # 3 % are noise, of pixels that the curve crosses
-    want = central(scene, TRIMMED[1], change, w, 8100, 0.02, 3)
+    want = central_by(scene, TRIMMED[1], change, w, 8100, 0.02, 3)
     assert (got * change).sum() == pytest.approx(want, rel=0.1)
 
 

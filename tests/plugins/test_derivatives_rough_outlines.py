@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from backend_cases import VARIANT
-from derivative_cases import film, inner, weights
-from mitsuba_cases import bezier, tensor
+from derivative_cases import central_by, film, weights
+from mitsuba_cases import bezier
 
 import mitsuba_bezier as mb
 from mitsuba_bezier.plugins.integrators.crossings import _joined
@@ -51,20 +51,6 @@ def reverse(integrator: dict[str, Any], scene: Any, change: np.ndarray, w: Any, 
     got = np.array(dr.grad(params[NET])).reshape(change.shape)
     dr.disable_grad(params[NET])
     return float((got * change).sum())
-
-
-def central(scene: Any, change: np.ndarray, w: Any, spp: int, e: float) -> float:
-    path = mi.load_dict({"type": "bezierpath", "max_depth": DEPTH})
-    params = mi.traverse(scene)
-    net = np.array(params[NET]).reshape(change.shape)
-    out = []
-    for sign in (1, -1):
-        params[NET] = tensor(net + sign * e * change)
-        params.update()
-        out.append(inner(mi.render(scene, integrator=path, spp=spp, seed=1), w))
-    params[NET] = tensor(net)
-    params.update()
-    return (out[0] - out[1]) / (2 * e)
 
 
 @pytest.mark.parametrize("radius", [0.8, 0.2], ids=["two pixels", "half a pixel"])
@@ -145,7 +131,7 @@ def test_outlines_between_rough_surfaces_and_mirrors(name):
     full = {"type": "bezier_prb_projective", "max_depth": DEPTH}
     got = reverse(full, scene, change, w, 2048)
     none = reverse({**full, "spps": 0}, scene, change, w, 512)
-    want = central(scene, change, w, 4096, 0.05)
+    want = central_by(scene, NET, change, w, 4096, 0.05, DEPTH)
     # both have standard errors of 2 %
     assert got == pytest.approx(want, rel=0.1)
     assert abs(none - want) > 0.25 * abs(want)

@@ -71,6 +71,12 @@ class SpecularChains:
         goes_on = active & dr.any(weight != 0)
         return wo, dr.select(goes_on, weight / chance, 0.0), goes_on
 
+    def meet(self, ray: Any, active: Any) -> tuple[Any, ...]:
+        """Return the hit, the interaction, the error of its point, and whether there is one."""
+        hit = self.rays.preliminary(ray, False, active)
+        si, p_err = self.rays.meet(hit, ray, mi.RayFlags.All, active)
+        return hit, si, p_err, active & si.is_valid()
+
     def follow(self, line: dict[str, Any], position: Any) -> dict[str, list[Any]]:
         """Return what a chain meets: a number for each vertex, the places and normals there."""
         ray, _weight = self.start(line, position)
@@ -88,9 +94,7 @@ class SpecularChains:
         def body(st: dict[str, Any], line: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
             st = dict(st)
             ray, depth, active = st["ray"], st["depth"], st["active"]
-            hit = self.rays.preliminary(ray, False, active)
-            si, p_err = self.rays.meet(hit, ray, mi.RayFlags.All, active)
-            met = active & si.is_valid()
+            hit, si, p_err, met = self.meet(ray, active)
             way = st["way"] + dr.select(met, si.t, 0.0)
             what = 2 * dr.reinterpret_array(mi.UInt32, si.shape)
             what += dr.select(dr.dot(si.n, ray.d) > 0, mi.UInt32(1), 0)
@@ -137,15 +141,13 @@ class SpecularChains:
         out = []
         for depth in range(count + 1):
             dr.eval(ray, weight, good)
-            hit = self.rays.preliminary(ray, False, good)
-            si, p_err = self.rays.meet(hit, ray, mi.RayFlags.All, good)
+            hit, si, p_err, met = self.meet(ray, good)
             dr.eval(hit)
             out.append((mi.Ray3f(ray), hit))
             if depth == count:
                 break
-            more = good & (depth < last)
-            met = more & si.is_valid()
-            wo, factor, goes_on = self.bend(si, line, dr.opaque(mi.UInt32, depth), met)
+            more = met & (depth < last)
+            wo, factor, goes_on = self.bend(si, line, dr.opaque(mi.UInt32, depth), more)
             turned = spawn_ray(si, p_err, si.to_world(wo))
             good = good & (goes_on | (depth >= last))
             ray = dr.select(goes_on, turned, ray)
@@ -216,9 +218,7 @@ class FilmChains(SpecularChains):
         def body(st: dict[str, Any], line: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
             st = dict(st)
             ray, depth, active = st["ray"], st["depth"], st["active"]
-            hit = self.rays.preliminary(ray, False, active)
-            si, p_err = self.rays.meet(hit, ray, mi.RayFlags.All, active)
-            met = active & si.is_valid()
+            hit, si, p_err, met = self.meet(ray, active)
             wo, factor, goes_on = self.bend(si, line, depth, met & (depth + 1 < self.longest))
             rough = met & mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
             both = rough & goes_on
